@@ -27,7 +27,7 @@ from slipfree.atlas.friction import (
 )
 from slipfree.batch import many
 from slipfree.batch.evaluator import Evaluator, EvaluatorOf, evaluator_of, evaluator_of_graphs
-from slipfree.batch.graph import Graph, Graphs, graph_of
+from slipfree.batch.graph import Graph, graph_of
 from slipfree.batch.motion import COMPLETE, relax
 from slipfree.contact.nearest_points import CLEARANCE
 from slipfree.core.arguments import checked
@@ -396,11 +396,18 @@ def pose_evaluator(
     reasons, codes = _reasons(model)
     names = [label.name for label in leaves(model.labels.y)]
     power = names.index("power") if "power" in names else None
-    reductions = {
-        name: each
-        for name, each in _reductions(graphs).items()
-        if quantities is None or name in quantities
-    }
+    first = graphs.rows.x.stop - graphs.dae.rest.numel()  # the states before are given
+    reductions = dict[str, Reduction]()  # rows of states and outputs, or summaries of several
+    for name, source in many.sources_of(graphs, None).items():
+        is_pose = first <= source.rows[0] < graphs.rows.p.stop and not source.is_output
+        if quantities is not None and name not in quantities:
+            continue
+        if is_pose and name != "z" and not source.wheels:
+            reductions[name] = Reduction(source, source.label, np.min)
+        elif name in REDUCTIONS:
+            reduce, words = REDUCTIONS[name]
+            label = replace(source.label, words=words or source.label.words)
+            reductions[name] = Reduction(source, label, reduce)
     corners = None
     if with_corners:
         wanted = {*pose_names(reductions), *COMPUTED, *bounds}
@@ -464,15 +471,71 @@ def tile_of(
     tolerance: float,
     guarantee: float | None = None,
 ) -> dict[str, Array]:
-    """Return the bands of a tile, shape (n_headings, n_x, n_y)."""
+    """Return the bands of a tile, shape (n_headings, n_x, n_y).
+
+    Those at the corners of the cube of shifts of the ground under the wheels have no numbers where
+    the vehicle does not stand at a corner, nor where the pose on the map is not between those at
+    the corners: there, a corner pose is another rest, as beside a wall.
+    """
+    evaluate, graphs, corners = evaluator.evaluate, evaluator.evaluate.graphs, evaluator.corners
+    dae, rows, wheels = graphs.dae, graphs.rows, len(graphs.dae.vehicle.wheels)
+    given = np.array([[inputs.get(label.full, 0.0)] for label in leaves(dae.labels.u)])
+
+    def bands_at(places: Array) -> tuple[dict[str, Array], Array]:
+        """Return the bands of some poses, shape (n,), and states, NaN where they do not stand."""
+        states = many.start_states(graphs, dict(zip(("heading", "x", "y"), places, strict=True)))
+        states[rows.u] = given
+        stands = many.stand(evaluate, states)
+        if evaluator.has_rests:
+            rests = other_rests(evaluate, states, stands.has_pose)
+        states[rows.u] = given  # a vehicle relaxes at rest
+        outcomes = many.stand_checked(evaluate, states, stands)
+        bands = _quantities(evaluator, dae.checks, states, tolerance)
+        if evaluator.has_rests:
+            bands[RESTS.name] = rests.astype(float)
+        if inputs and evaluator.power is not None:
+            power = evaluate(graphs.outputs, states)[evaluator.power]
+            rates = evaluate(graphs.motion, states)[graphs.motion.parts[0]]
+            bands[ENERGY.name] = power / np.hypot(*rates[graphs.places[:2]])  # over the speed
+        stands = outcomes == COMPLETE
+        if corners is not None and error is not None:
+            signs = product((-1.0, 1.0), repeat=wheels)
+            cube = [shifted(corners, states, stands, error * np.array(each)) for each in signs]
+            between = np.ones(stands.shape, dtype=bool)
+            for name in pose_names(evaluator.reductions):
+                away = np.array([each[name] - bands[name] for each in cube])
+                between &= (away.min(axis=0) <= SAME_REST) & (away.max(axis=0) >= -SAME_REST)
+            for name, (end, sign) in product(cube[0], (("low", -1.0), ("high", 1.0))):
+                extreme = sign * np.max([sign * each[name] for each in cube], axis=0)
+                # the ground under the bodies shifts, too
+                extreme += sign * error * (name == CLEARANCE.name)
+                bands[f"{name}_computed_{end}"] = np.where(between, extreme, np.nan)
+        bands = {name: np.where(stands, values, np.nan) for name, values in bands.items()}
+        bands = {REASON.name: evaluator.codes[outcomes + 2].astype(float)} | bands
+        return bands, np.where(stands, states, np.nan)
+
+    def shifted(
+        corner: PoseEvaluator, states: Array, stands: Mask, shifts: Array
+    ) -> dict[str, Array]:
+        """Return the bands of poses with shifts of the ground under the wheels [m]."""
+        evaluate = corner.evaluate
+        moved = np.insert(states, [rows.c.stop] * wheels, shifts[:, None], axis=0)
+        rests = many.solve_positions(evaluate, moved)
+        if dae.rest.numel():  # to the rest that is near that of the pose
+            is_relaxed = relax(evaluate, moved)
+            rests = many.Rests(rests.has_pose & is_relaxed, np.zeros_like(is_relaxed))
+        moved[evaluate.graphs.rows.u] = states[rows.u]
+        known = stands & (many.stand_checked(evaluate, moved, rests) == COMPLETE)
+        bands = _quantities(corner, dae.checks, moved, tolerance)
+        return {name: np.where(known, values, np.nan) for name, values in bands.items()}
+
     places = np.stack([each.ravel() for each in np.meshgrid(heading, x, y, indexing="ij")])
     parts = list[dict[str, Array]]()
     for first in range(0, places.shape[1], PROVED_TOGETHER * many.CHUNK):
         some = places[:, first : first + PROVED_TOGETHER * many.CHUNK]
-        own = [
-            _bands(evaluator, some[:, k : k + many.CHUNK], inputs, error, tolerance)
-            for k in range(0, some.shape[1], many.CHUNK)
-        ]
+        with np.errstate(all="ignore"):
+            chunks = range(0, some.shape[1], many.CHUNK)
+            own = [bands_at(some[:, k : k + many.CHUNK]) for k in chunks]
         parts.append(_joined([bands for bands, _ in own]))
         if guarantee is not None:
             states = np.concatenate([states for _, states in own], axis=1)
@@ -485,42 +548,6 @@ def tile_of(
 
 def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def _bands(
-    evaluator: PoseEvaluator,
-    places: Array,
-    inputs: Mapping[str, float],
-    error: float | None,
-    tolerance: float,
-) -> tuple[dict[str, Array], Array]:
-    """Return the bands of some poses, shape (n,), and their states, NaN where they do not stand.
-
-    ``places`` are heading, x and y.
-    """
-    evaluate, graphs = evaluator.evaluate, evaluator.evaluate.graphs
-    states = many.start_states(graphs, dict(zip(("heading", "x", "y"), places, strict=True)))
-    labels = leaves(graphs.dae.labels.u)
-    given = np.array([[inputs.get(label.full, 0.0)] for label in labels])
-    states[graphs.rows.u] = given
-    with np.errstate(all="ignore"):
-        stands = many.stand(evaluate, states)
-        if evaluator.has_rests:
-            rests = other_rests(evaluate, states, stands.has_pose)
-        states[graphs.rows.u] = given  # a vehicle relaxes at rest
-        outcomes = many.stand_checked(evaluate, states, stands)
-        bands = _quantities(evaluator, graphs.dae.checks, states, tolerance)
-        if evaluator.has_rests:
-            bands[RESTS.name] = rests.astype(float)
-        if inputs and evaluator.power is not None:
-            power = evaluate(graphs.outputs, states)[evaluator.power]
-            bands[ENERGY.name] = power / _speed(evaluate, states)
-        stands = outcomes == COMPLETE
-        if evaluator.corners is not None and error is not None:
-            bands |= _computed_bands(evaluator, states, stands, tolerance, error, bands)
-    bands = {name: np.where(stands, values, np.nan) for name, values in bands.items()}
-    bands = {REASON.name: evaluator.codes[outcomes + 2].astype(float)} | bands
-    return bands, np.where(stands, states, np.nan)
 
 
 def _quantities(
@@ -569,61 +596,6 @@ def _proved_bands(evaluator: PoseEvaluator, states: Array, error: float) -> dict
         bound = getattr(found, end)[closed.index(name)]
         band[stands] = np.nextafter(bound.astype(np.float32), away)  # bands have single precision
     return bands
-
-
-def _computed_bands(
-    evaluator: PoseEvaluator,
-    states: Array,
-    stands: Mask,
-    tolerance: float,
-    error: float,
-    here: Mapping[str, Array],
-) -> dict[str, Array]:
-    """Return extremes of bands at the corners of the cube of shifts of the ground under the wheels.
-
-    Bands have no numbers where the vehicle does not stand at a corner, nor where the pose on the
-    map, whose bands are ``here``, is not between those at the corners: there, a corner pose is
-    another rest, as beside a wall.
-    """
-    corners: Any = evaluator.corners
-    dae, rows = evaluator.evaluate.graphs.dae, evaluator.evaluate.graphs.rows
-    evaluate, wheels, inputs = corners.evaluate, len(dae.vehicle.wheels), states[rows.u]
-
-    def at(shifts: Array) -> dict[str, Array]:
-        """Return the bands with shifts (n_wheels, n), in units of the error."""
-        moved = np.insert(states, [rows.c.stop] * wheels, error * shifts, axis=0)
-        rests = many.solve_positions(evaluate, moved)
-        if dae.rest.numel():  # to the rest that is near that of the pose
-            is_relaxed = relax(evaluate, moved)
-            rests = many.Rests(rests.has_pose & is_relaxed, np.zeros_like(is_relaxed))
-        moved[evaluate.graphs.rows.u] = inputs
-        known = stands & (many.stand_checked(evaluate, moved, rests) == COMPLETE)
-        bands = _quantities(corners, dae.checks, moved, tolerance)
-        return {name: np.where(known, values, np.nan) for name, values in bands.items()}
-
-    cube = [at(np.array(signs)[:, None]) for signs in product((-1.0, 1.0), repeat=wheels)]
-    between = np.ones(stands.shape, dtype=bool)
-    for name in pose_names(evaluator.reductions):
-        away = np.array([each[name] - here[name] for each in cube])
-        between &= (away.min(axis=0) <= SAME_REST) & (away.max(axis=0) >= -SAME_REST)
-    bands = {
-        f"{name}_computed_{end}": np.where(
-            between, extreme([each[name] for each in cube], axis=0), np.nan
-        )
-        for name in cube[0]
-        for end, extreme in (("low", np.min), ("high", np.max))
-    }
-    for end, sign in (("low", -1.0), ("high", 1.0)):  # the ground under the bodies shifts, too
-        if (name := f"{CLEARANCE.name}_computed_{end}") in bands:
-            bands[name] += sign * error
-    return bands
-
-
-def _speed(evaluate: Evaluator, states: Array) -> Array:
-    """Return the speed of the platform over the ground [m/s]."""
-    graphs = evaluate.graphs
-    rates = evaluate(graphs.motion, states)[graphs.motion.parts[0]]
-    return np.asarray(np.hypot(*rates[graphs.places[:2]]))
 
 
 def other_rests(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
@@ -682,19 +654,3 @@ REDUCTIONS: dict[str, tuple[Any, str]] = {  # of several wheels
     "slip_ratio": (np.max, "largest slip ratio of the wheels"),
     "sinkage": (np.max, "largest sinkage of the wheels"),
 }
-
-
-def _reductions(graphs: Graphs) -> dict[str, Reduction]:
-    """Return the bands that are rows of states and outputs, or summaries of several."""
-    dae, rows = graphs.dae, graphs.rows
-    first = rows.x.stop - dae.rest.numel()  # the states before are given
-    reductions = dict[str, Reduction]()
-    for name, source in many.sources_of(graphs, None).items():
-        is_pose = first <= source.rows[0] < rows.p.stop and not source.is_output
-        if is_pose and name != "z" and not source.wheels:
-            reductions[name] = Reduction(source, source.label, np.min)
-        elif name in REDUCTIONS:
-            reduce, words = REDUCTIONS[name]
-            label = replace(source.label, words=words or source.label.words)
-            reductions[name] = Reduction(source, label, reduce)
-    return reductions

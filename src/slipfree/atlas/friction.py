@@ -145,9 +145,29 @@ def _step(column: ca.SX, rows: SearchRows, pattern: ca.Sparsity) -> ca.SX:
     )
     newton, path = _solve(ca.densify(hessian), (gradient, wheels.power(tangents)))
     decrement = ca.dot(gradient, newton)
-    low = ca.fmax(low, _kinematic_bound(wheels, load, y, path, decrement))
-    height = level - low
-    high, best = _static_bound(wheels, cones, newton, path, height, high, column[rows.forces])
+    # lower bound: rates without power of the load
+    rates = -path
+    rates += (ca.dot(load, rates) / wheels.count) * y
+    ratio, least = ca.SX(UNKNOWN), ca.SX(UNKNOWN)
+    for s in wheels.slips(rates):
+        ratio = ca.fmin(ratio, s[2] ** 2 / (_tangential(s) + TINY))
+        least = ca.fmin(least, s[2])
+    valid = ca.logic_and(least > 0, decrement < DECREMENT_OF_BOUND)
+    low = ca.fmax(low, ca.if_else(valid, ca.sqrt(ratio), 0))
+    height, best = level - low, column[rows.forces]
+    # upper bound: forces of the Newton step, and of steps along the path
+    steps = zip(cones, wheels.slips(newton), wheels.slips(path), strict=True)
+    at = [(c.force - c.along(one), c.tangent - c.along(two)) for c, one, two in steps]
+    for fall in FALLS:
+        forces = [f - fall * height * by_level for f, by_level in at]
+        used, valid = ca.SX(0), ca.SX(1)
+        for f in forces:  # fmax drops NaN; comparisons with it are false
+            squared = _tangential(f) / f[2] ** 2
+            valid = ca.logic_and(valid, ca.logic_and(f[2] > 0, squared < UNKNOWN**2))
+            used = ca.fmax(used, squared)
+        bound = ca.if_else(valid, ca.sqrt(used), UNKNOWN)
+        best = ca.if_else(bound < high, ca.vertcat(*forces), best)
+        high = ca.fmin(high, bound)
     following = _next_level(level, low, high)
     ratio = ca.fmin(ca.fmax(height / ca.fmax(following - low, 1e-12), 1), PATH_STEP)
     move = newton - path * (height * (ratio - 1))
@@ -187,47 +207,6 @@ class _Cone:
 
 def _tangential(slip: ca.SX) -> ca.SX:
     return slip[0] ** 2 + slip[1] ** 2
-
-
-def _kinematic_bound(
-    wheels: _Wheels, load: ca.SX, y: ca.SX, path: ca.SX, decrement: ca.SX
-) -> ca.SX:
-    rates = -path
-    rates += (ca.dot(load, rates) / wheels.count) * y  # without power of the load
-    ratio, least = ca.SX(UNKNOWN), ca.SX(UNKNOWN)
-    for s in wheels.slips(rates):
-        ratio = ca.fmin(ratio, s[2] ** 2 / (_tangential(s) + TINY))
-        least = ca.fmin(least, s[2])
-    valid = ca.logic_and(least > 0, decrement < DECREMENT_OF_BOUND)
-    return ca.if_else(valid, ca.sqrt(ratio), 0)
-
-
-def _static_bound(
-    wheels: _Wheels,
-    cones: list[_Cone],
-    newton: ca.SX,
-    path: ca.SX,
-    height: ca.SX,
-    high: ca.SX,
-    best: ca.SX,
-) -> tuple[ca.SX, ca.SX]:
-    """Return the smaller of an upper bound and those of new forces, and the forces."""
-    to_newton, to_path = wheels.slips(newton), wheels.slips(path)
-    at, by_level = list[ca.SX](), list[ca.SX]()
-    for cone, first, second in zip(cones, to_newton, to_path, strict=True):
-        at.append(cone.force - cone.along(first))
-        by_level.append(cone.tangent - cone.along(second))
-    for fall in FALLS:
-        forces = [f - fall * height * d for f, d in zip(at, by_level, strict=True)]
-        used, valid = ca.SX(0), ca.SX(1)
-        for f in forces:  # fmax drops NaN; comparisons with it are false
-            squared = _tangential(f) / f[2] ** 2
-            valid = ca.logic_and(valid, ca.logic_and(f[2] > 0, squared < UNKNOWN**2))
-            used = ca.fmax(used, squared)
-        bound = ca.if_else(valid, ca.sqrt(used), UNKNOWN)
-        best = ca.if_else(bound < high, ca.vertcat(*forces), best)
-        high = ca.fmin(high, bound)
-    return high, best
 
 
 def _next_level(level: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:

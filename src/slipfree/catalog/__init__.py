@@ -20,19 +20,9 @@ from typing import Annotated, Any, Literal
 import casadi as ca
 from annotated_types import Gt, Unit
 
+from slipfree.core import schema
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, read_table, similar
-from slipfree.core.schema import (
-    Angle,
-    Factor,
-    Force,
-    JointConstant,
-    Length,
-    Mass,
-    Position,
-    Radius,
-    Stiffness,
-)
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.sections import Disc, section_of_radii
@@ -47,19 +37,19 @@ MAX_TILT = 1.5  # a wheel with a larger tilt lies on its side [rad]
 def three_wheeler(
     *,
     axle: Axle = "tilting",
-    half_track: Length = 1.0,
-    wheelbase: Length = 1.5,
-    r1: Radius = 0.05,
-    r2: Radius = 0.25,
-    tilt_stop: Angle = MAX_TILT,
+    half_track: schema.Length = 1.0,
+    wheelbase: schema.Length = 1.5,
+    r1: schema.Radius = 0.05,
+    r2: schema.Radius = 0.25,
+    tilt_stop: schema.Angle = MAX_TILT,
     slide_stop: Annotated[float, Gt(0), Unit("m")] = inf,
-    stiffness: JointConstant = 0.0,
-    damping: JointConstant = 0.0,
-    bump: JointConstant = 0.0,
-    mass: Mass = 30.0,
+    stiffness: schema.JointConstant = 0.0,
+    damping: schema.JointConstant = 0.0,
+    bump: schema.JointConstant = 0.0,
+    mass: schema.Mass = 30.0,
     center_of_mass: tuple[float, float, float] = ORIGIN,
-    wheel_mass: Mass = 2.0,
-    grip: Factor = 1.0,
+    wheel_mass: schema.Mass = 2.0,
+    grip: schema.Factor = 1.0,
 ) -> Vehicle:
     """Return the three-wheeler of Chakraborty and Ghosal [1]_ with one of six rear axles.
 
@@ -123,16 +113,16 @@ def three_wheeler(
 @checked
 def differential_drive(
     *,
-    half_track: Length = 0.25,
-    caster_ahead: Length = 0.35,
-    trail: Position = 0.08,
-    r1: Radius = 0.03,
-    r2: Radius = 0.12,
-    caster_scale: Factor = 2 / 3,
-    mass: Mass = 20.0,
+    half_track: schema.Length = 0.25,
+    caster_ahead: schema.Length = 0.35,
+    trail: schema.Position = 0.08,
+    r1: schema.Radius = 0.03,
+    r2: schema.Radius = 0.12,
+    caster_scale: schema.Factor = 2 / 3,
+    mass: schema.Mass = 20.0,
     center_of_mass: Vector = (0.0, 0.1, 0.0),
-    wheel_mass: Mass = 1.0,
-    grip: Factor = 1.0,
+    wheel_mass: schema.Mass = 1.0,
+    grip: schema.Factor = 1.0,
 ) -> Vehicle:
     """Return a cart with two driven wheels and a free caster ahead of them.
 
@@ -164,15 +154,15 @@ def differential_drive(
 @checked
 def ackermann(
     *,
-    half_track: Length = 0.3,
-    wheelbase: Length = 0.7,
-    r1: Radius = 0.03,
-    r2: Radius = 0.12,
-    steer_stop: Angle = 0.7,
-    mass: Mass = 40.0,
+    half_track: schema.Length = 0.3,
+    wheelbase: schema.Length = 0.7,
+    r1: schema.Radius = 0.03,
+    r2: schema.Radius = 0.12,
+    steer_stop: schema.Angle = 0.7,
+    mass: schema.Mass = 40.0,
     center_of_mass: Vector = (0.0, 0.35, 0.0),
-    wheel_mass: Mass = 2.0,
-    grip: Factor = 1.0,
+    wheel_mass: schema.Mass = 2.0,
+    grip: schema.Factor = 1.0,
 ) -> Vehicle:
     """Return a car with a rocking front axle and driven rear wheels.
 
@@ -205,14 +195,14 @@ def ackermann(
 @checked
 def skid_steer(
     *,
-    half_track: Length = 0.3,
-    wheelbase: Length = 0.5,
-    r1: Radius = 0.03,
-    r2: Radius = 0.12,
-    mass: Mass = 30.0,
+    half_track: schema.Length = 0.3,
+    wheelbase: schema.Length = 0.5,
+    r1: schema.Radius = 0.03,
+    r2: schema.Radius = 0.12,
+    mass: schema.Mass = 30.0,
     center_of_mass: Vector = ORIGIN,
-    wheel_mass: Mass = 2.0,
-    grip: Factor = 1.0,
+    wheel_mass: schema.Mass = 2.0,
+    grip: schema.Factor = 1.0,
 ) -> Vehicle:
     """Return a cart with four driven wheels; the two right wheels are on a rocker.
 
@@ -241,14 +231,14 @@ def skid_steer(
 def rigid_skid_steer(
     *,
     axles: int = 2,
-    half_track: Length = 0.285,
-    wheelbase: Length = 0.51,
-    r1: Radius = 0.05,
-    r2: Radius = 0.115,
-    mass: Mass = 38.0,
+    half_track: schema.Length = 0.285,
+    wheelbase: schema.Length = 0.51,
+    r1: schema.Radius = 0.05,
+    r2: schema.Radius = 0.115,
+    mass: schema.Mass = 38.0,
     center_of_mass: Vector = (0.0, 0.0, 0.05),
-    wheel_mass: Mass = 2.0,
-    grip: Factor = 1.0,
+    wheel_mass: schema.Mass = 2.0,
+    grip: schema.Factor = 1.0,
 ) -> Vehicle:
     """Return a rigid robot with two driven wheels on each of its axles, and no suspension.
 
@@ -284,15 +274,15 @@ def rigid_skid_steer(
 @checked
 def mecanum(
     *,
-    half_track: Length = 0.15,
-    wheelbase: Length = 0.47,
-    r1: Radius = 0.0125,
-    r2: Radius = 0.035,
+    half_track: schema.Length = 0.15,
+    wheelbase: schema.Length = 0.47,
+    r1: schema.Radius = 0.0125,
+    r2: schema.Radius = 0.035,
     roller_angle: Annotated[float, Unit("rad")] = pi / 4,
-    mass: Mass = 22.0,
+    mass: schema.Mass = 22.0,
     center_of_mass: Vector = ORIGIN,
-    wheel_mass: Mass = 1.4,
-    grip: Factor = 1.0,
+    wheel_mass: schema.Mass = 1.4,
+    grip: schema.Factor = 1.0,
 ) -> Vehicle:
     """Return an omnidirectional platform with four driven mecanum wheels and a rocking front axle.
 
@@ -333,16 +323,16 @@ def mecanum(
 @checked
 def articulated(
     *,
-    half_track: Length = 0.35,
-    front: Length = 0.4,
-    rear: Length = 0.4,
-    r1: Radius = 0.04,
-    r2: Radius = 0.16,
-    bend_stop: Angle = 0.7,
-    mass: Mass = 60.0,
+    half_track: schema.Length = 0.35,
+    front: schema.Length = 0.4,
+    rear: schema.Length = 0.4,
+    r1: schema.Radius = 0.04,
+    r2: schema.Radius = 0.16,
+    bend_stop: schema.Angle = 0.7,
+    mass: schema.Mass = 60.0,
     center_of_mass: Vector = ORIGIN,
-    wheel_mass: Mass = 4.0,
-    grip: Factor = 1.0,
+    wheel_mass: schema.Mass = 4.0,
+    grip: schema.Factor = 1.0,
 ) -> Vehicle:
     """Return an articulated loader with a driven steering joint and a free twist joint.
 
@@ -377,11 +367,11 @@ def articulated(
 def rocky7(
     *,
     steered: Literal["front", "corners"] = "front",
-    r1: Radius = 0.02,
-    mass: Mass = 10.0,
+    r1: schema.Radius = 0.02,
+    mass: schema.Mass = 10.0,
     center_of_mass: Vector = (0.0, 0.12, 0.0),
-    wheel_mass: Mass = 0.5,
-    grip: Factor = 1.0,
+    wheel_mass: schema.Mass = 0.5,
+    grip: schema.Factor = 1.0,
 ) -> Vehicle:
     """Return the Rocky 7 rover of JPL [1]_, with the dimensions used by [2]_.
 
@@ -422,11 +412,11 @@ def rocky7(
 @checked
 def open_source_rover(
     *,
-    r1: Radius = 0.02,
-    mass: Mass = 7.0,
+    r1: schema.Radius = 0.02,
+    mass: schema.Mass = 7.0,
     center_of_mass: Vector = ORIGIN,
-    wheel_mass: Mass = 0.8,
-    grip: Factor = 1.0,
+    wheel_mass: schema.Mass = 0.8,
+    grip: schema.Factor = 1.0,
 ) -> Vehicle:
     """Return the JPL Open Source Rover [1]_, with the front wheels on the bogies.
 
@@ -574,12 +564,12 @@ FRONT_MASS = 7.8  # of the front body, wheels included [kg]
 @checked
 def seven_wheels(
     *,
-    joint: Position = 0.0,
-    half_track: Length = 0.235,
-    stiffness: Stiffness = 2e3,
-    preload: Force = 20.0,
-    grip: Factor = 1.0,
-    wheel_mass: Mass = 0.0,
+    joint: schema.Position = 0.0,
+    half_track: schema.Length = 0.235,
+    stiffness: schema.Stiffness = 2e3,
+    preload: schema.Force = 20.0,
+    grip: schema.Factor = 1.0,
+    wheel_mass: schema.Mass = 0.0,
 ) -> Vehicle:
     """Return the step climber of Chugo et al. [1]_, with seven driven omni wheels.
 
@@ -627,7 +617,7 @@ def seven_wheels(
 
 
 @checked
-def step_climber(*, joint: Position = 0.0, stiffness: Stiffness = 1.5e5) -> Vehicle:
+def step_climber(*, joint: schema.Position = 0.0, stiffness: schema.Stiffness = 1.5e5) -> Vehicle:
     """Return the step climber of Chugo et al. (2009), locked to the plane of its motion.
 
     It is the side view of `seven_wheels`, with one driven disc for the wheels of an axle; the

@@ -184,7 +184,7 @@ def export_controller(
         "met": MET[exact],
         **dict(zip("xy", AXES[frame], strict=True)),
         **_source_text(level, fields, name),
-        **_test_text(vehicle, (level, _model(vehicle, grid, rates)), grid, fields),
+        **_test_text((level, _model(vehicle, grid, rates)), grid, fields),
     }
     templates = Path(__file__).parent
     texts = {
@@ -408,12 +408,10 @@ def _source_text(model: _Model, fields: _Fields, prefix: str) -> dict[str, str]:
     }
 
 
-def _test_text(
-    vehicle: Vehicle, models: Sequence[_Model], grid: Grid, fields: _Fields
-) -> dict[str, str]:
+def _test_text(models: Sequence[_Model], grid: Grid, fields: _Fields) -> dict[str, str]:
     """Return the texts of the test program: places, and poses and rates of the models there."""
     rng, count = np.random.default_rng(0), N_CASES // 2
-    cases = [_cases(vehicle, model, rng, count) for model in models]
+    cases = [_cases(model, rng, count) for model in models]
     numbers = [np.concatenate(columns) for columns in zip(*cases, strict=True)]
     records = {
         name: _lines(
@@ -435,11 +433,10 @@ def _test_text(
     }
 
 
-def _cases(
-    vehicle: Vehicle, model: _Model, rng: np.random.Generator, count: int
-) -> tuple[Array, Array, Array, Array]:
+def _cases(model: _Model, rng: np.random.Generator, count: int) -> tuple[Array, ...]:
     """Return random places, poses, commands and their answers, for the test of the C code."""
     size, drawn, labels = model.direct.size, TRIES * count, list(leaves(model.direct.labels.x))
+    vehicle = model.direct.vehicle
     spread = {"x": (-size, size), "y": (-size, size), "heading": (-np.pi, np.pi)}
     for c in vehicle.coordinates:
         most = JOINT_SPREAD if vehicle.unit(c.name) == "rad" else SLIDE_SPREAD * size

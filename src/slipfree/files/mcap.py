@@ -16,15 +16,7 @@ import numpy as np
 from slipfree.core.errors import DataError, missing_package, read_table
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
-from slipfree.files.urdf.links import (
-    MAP,
-    LinkPoses,
-    Robot,
-    joint_motion,
-    link_poses,
-    platform_poses,
-    to_rep103,
-)
+from slipfree.files.urdf import links
 from slipfree.models.samples import wheel_poses
 from slipfree.system.processes import bounded_read
 from slipfree.system.regular_files import read_bytes, regular_file, replacing
@@ -229,7 +221,9 @@ def _time(message: Any, recorded: int) -> int:
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
-def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None = None) -> None:
+def write_mcap(
+    out: Path, run: Trajectory, vehicle: Vehicle, robot: links.Robot | None = None
+) -> None:
     """Write a motion as an MCAP file of ROS 2 messages.
 
     Frames have x forward, y left, z up (REP 103). Topics are ``/path`` (nav_msgs/Path, once),
@@ -260,17 +254,20 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
     """
     ros, times = ros_package(), [round(t * 1e9) for t in run.t.tolist()]
     base = robot.tree.root if robot else BASE
-    origins, rotation = platform_poses(run, vehicle)
-    joints = joint_motion(run, vehicle, robot)
+    origins, rotation = links.platform_poses(run, vehicle)
+    joints = links.joint_motion(run, vehicle, robot)
     if robot is None:
-        frames = [LinkPoses(MAP, BASE, origins, rotation)]
-        places, turns = to_rep103(wheel_poses(vehicle, run))
+        frames = [links.LinkPoses(links.MAP, BASE, origins, rotation)]
+        places, turns = links.to_rep103(wheel_poses(vehicle, run))
         for k, name in enumerate(run.wheels):
             local, turn = rotation.inv().apply(places[:, k] - origins), turns[k :: len(run.wheels)]
-            frames.append(LinkPoses(BASE, name, local, rotation.inv() * turn))
+            frames.append(links.LinkPoses(BASE, name, local, rotation.inv() * turn))
     else:
-        root = LinkPoses(MAP, base, origins, rotation * robot.root_turn)
-        frames = [root, *link_poses(robot, {name: value for name, (value, _) in joints.items()})]
+        root = links.LinkPoses(links.MAP, base, origins, rotation * robot.root_turn)
+        frames = [
+            root,
+            *links.link_poses(robot, {name: value for name, (value, _) in joints.items()}),
+        ]
     slips = (_slip(run, wheel, base) for wheel in run.wheels)
     tracks = [_transforms(frames), _joint_states(joints, base, run.t.size), *slips]
     with replacing(out) as part, part.open("wb") as stream:
@@ -285,12 +282,12 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
         rows = zip(times, origins.tolist(), rotation.as_quat().tolist(), strict=True)
         poses = [
             {
-                "header": _header(time, MAP),
+                "header": _header(time, links.MAP),
                 "pose": {"position": _vector(place), "orientation": _vector(turn, "xyzw")},
             }
             for time, place, turn in rows
         ]
-        path = {"header": _header(times[0], MAP), "poses": poses}
+        path = {"header": _header(times[0], links.MAP), "poses": poses}
         write(times[0], "/path", "nav_msgs/Path", path)
         for time, *messages in zip(times, *tracks, strict=True):
             for topic, kind, content in messages:
@@ -324,7 +321,7 @@ def _vector(values: Sequence[float], names: str = "xyz") -> dict[str, float]:
     return dict(zip(names, values, strict=True))
 
 
-def _transforms(frames: Sequence[LinkPoses]) -> Iterator[Message]:
+def _transforms(frames: Sequence[links.LinkPoses]) -> Iterator[Message]:
     places = np.stack([frame.origins for frame in frames], axis=1).tolist()
     quaternions = np.stack([frame.rotation.as_quat() for frame in frames], axis=1).tolist()
     for row in zip(places, quaternions, strict=True):

@@ -95,11 +95,6 @@ class MapCoordinate(NamedTuple):
     axis: str  # coordinate of the motion: ``"x"``, ``"y"`` or ``"z"``
 
 
-def encode_map_coordinates(coordinates: Iterable[MapCoordinate]) -> str:
-    """Return map coordinates as JSON text, for an attribute of a result file."""
-    return json.dumps([*coordinates])
-
-
 def map_positions(run: Trajectory) -> dict[str, tuple[str, Array]]:
     """Return units and values, shape (n,), of the map coordinates by name."""
     text = run.attributes.get(MAP_TRANSFORM)

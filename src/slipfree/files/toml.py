@@ -424,7 +424,19 @@ def replace_values(
             path = key_path(key)
             if not equals:
                 raise ValueError
-            new = _insert(data, path, _value(text)) if text.strip() else _remove(data, path)
+            new, (*tables, last), level = [path], path, data
+            for depth, name in enumerate(tables, start=1):
+                new += [path[:depth]] * (name not in level)
+                level = level.setdefault(name, {})
+                if not isinstance(level, dict):
+                    raise _KeyPlaceError(
+                        f"expected a key of a table, found that {'.'.join(path[:depth])!r} is not "
+                        "a table; correct the key"
+                    )
+            if text.strip():
+                level[last] = _value(text)
+            elif level.pop(last, None) is None:
+                raise _KeyPlaceError("expected a key to remove, found no such key; correct the key")
         except _KeyPlaceError as error:
             faults.append(f"{option} {key.strip()}: {error}")
         except ValueError:
@@ -451,31 +463,6 @@ def _value(text: str) -> Any:
             return text.strip()
         raise
     return value
-
-
-def _insert(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]:
-    places: list[Place] = [path]
-    *tables, last = path
-    for depth, name in enumerate(tables, start=1):
-        if name not in data:
-            places.append(path[:depth])
-        data = data.setdefault(name, {})
-        if not isinstance(data, dict):
-            raise _KeyPlaceError(
-                f"expected a key of a table, found that {'.'.join(path[:depth])!r} is not a table; "
-                "correct the key"
-            )
-    data[last] = value
-    return places
-
-
-def _remove(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
-    for name in path[:-1]:
-        data = data.get(name, {}) if isinstance(data, dict) else {}
-    if not isinstance(data, dict) or path[-1] not in data:
-        raise _KeyPlaceError("expected a key to remove, found no such key; correct the key")
-    del data[path[-1]]
-    return [path]
 
 
 EXAMPLE = 'a number, or text with an angular unit, as in "30 deg" or "5 deg/s"'

@@ -161,15 +161,6 @@ def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tu
     return tuple(ordered), tuple(left)
 
 
-def loop_of(name: str, parents: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the loop that repeated steps from a name to its parent reach; empty without a loop."""
-    chain = [name]
-    while parents.get(chain[-1]) not in (None, *chain):
-        chain.append(parents[chain[-1]])
-    last = parents.get(chain[-1])
-    return tuple(chain[chain.index(last) :]) if last in chain else ()
-
-
 def from_rep103(draft: Draft) -> Draft:
     """Return a draft converted from axes x forward, y left to axes x right, y forward."""
     return replace(
@@ -642,18 +633,10 @@ def _differential_errors(table: VehicleTable) -> Iterator[toml.Fault]:
 
 
 def _name_errors(table: VehicleTable) -> Iterator[toml.Fault]:
-    """Yield an error for row name that is not unique, is reserved, or has invalid characters."""
-    seen: dict[str, str] = {}
-    for part in ("coordinates", "wheels", "joints"):
-        if part == "joints":
-            seen = {"platform": "the platform"}
+    """Yield an error for each name that is reserved or has invalid characters."""
+    for part in ("coordinates", "wheels"):
         for index, row in enumerate(getattr(table, part)):
             place = (part, index, "name")
-            if row.name in seen:
-                remedy = "it" if seen[row.name] == "the platform" else "one of them"
-                found = f"{row.name!r}, also the name of {seen[row.name]}; rename {remedy}"
-                yield toml.Fault(place, "a unique name", found)
-            seen.setdefault(row.name, toml.spelled((part, index)))
             if part == "wheels" and not re.fullmatch(r"[\w-]+", row.name):
                 yield toml.Fault(
                     place, "a name of letters, digits, _ and -", f"{row.name!r}; rename it"
@@ -671,10 +654,12 @@ def _loop_errors(table: VehicleTable) -> Iterator[toml.Fault]:
     parents = {joint.name: joint.parent for joint in table.joints}
     reported: set[str] = set()
     for index, joint in enumerate(table.joints):
-        loop = loop_of(joint.name, parents)
-        if joint.name in loop and joint.name not in reported:
-            reported |= set(loop)
-            found = f"a loop: {' on '.join((*loop, loop[0]))}; cut the loop at one joint"
+        chain = [joint.name]
+        while parents.get(chain[-1]) not in (None, *chain):
+            chain.append(parents[chain[-1]])
+        if parents.get(chain[-1]) == joint.name and joint.name not in reported:
+            reported |= set(chain)
+            found = f"a loop: {' on '.join((*chain, joint.name))}; cut the loop at one joint"
             yield toml.Fault(("joints", index, "parent"), "a tree with the root 'platform'", found)
 
 

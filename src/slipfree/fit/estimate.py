@@ -172,16 +172,37 @@ class Residuals:
         labels, nominal, bounds, scales, priors = self._sought
         edges = np.minimum(np.abs(values - bounds[0]), np.abs(values - bounds[1]))
         at_bound = edges < AT_BOUND * scales
+        # residuals, shape (n, m), and derivatives by the p free unknowns in units of their scales
+        free, known = ~at_bound, self._known
         missed = (prediction.values - self._measured) / self._deviations
-        slopes = prediction.slopes[..., ~at_bound] / self._deviations[:, None] * scales[~at_bound]
-        covariance, directions, freedom = _sandwich(
-            np.where(self._known, missed, 0.0),
-            np.where(self._known[..., None], slopes, 0.0),
-            np.unique(groups, return_inverse=True)[1].ravel(),
-            priors,
-            scales,
-            ~at_bound,
+        slopes = prediction.slopes[..., free] / self._deviations[:, None] * scales[free]
+        missed, slopes = np.where(known, missed, 0.0), np.where(known[..., None], slopes, 0.0)
+        of_row = np.unique(groups, return_inverse=True)[1].ravel()
+        size = 1 + missed**2
+        count, p = int(of_row.max()) + 1, int(free.sum())
+        scores, parts = np.zeros((count, p)), np.zeros((count, p, p))
+        np.add.at(scores, of_row, np.einsum("ni,nip->np", missed / np.sqrt(size), slopes))
+        np.add.at(parts, of_row, np.einsum("nip,ni,niq->npq", slopes, size**-1.5, slopes))
+        prior = np.diag((priors.slopes(scales.size).sum(axis=0) * scales)[free] ** 2)
+        eigenvalues, vectors = np.linalg.eigh(parts.sum(axis=0) + prior)
+        lost = eigenvalues <= min(SINGULAR * max(eigenvalues.max(initial=0.0), 1e-300), KNOWN)
+        half = vectors[:, ~lost] / np.sqrt(eigenvalues[~lost])  # half @ half.T: inverse Hessian
+        leverage, axes = np.linalg.eigh(half.T @ parts @ half)
+        larger = np.sqrt(1 - np.minimum(leverage, MAX_LEVERAGE))
+        scores = np.einsum(
+            "gij,gj->gi", axes, np.einsum("gij,gi->gj", axes, scores @ half) / larger
         )
+        own = half.T @ prior @ half
+        scaled = half @ (scores.T @ scores + own) @ half.T
+        shares = np.einsum("pi,gij,pj->gp", half, half.T @ parts @ half, half)  # of the variances
+        total = shares.sum(axis=0) + np.diag(half @ own @ half.T)
+        freedom = np.ones(scales.size)  # degrees of each unknown
+        freedom[free] = np.maximum(total**2 / np.maximum((shares**2).sum(axis=0), 1e-300) - 1, 1)
+        undetermined = (vectors[:, lost] ** 2).sum(axis=1) > LOST_SHARE
+        covariance = np.zeros((scales.size, scales.size))
+        part = scaled * np.outer(scales[free], scales[free])
+        part[np.diag_indices(p)] = np.where(undetermined, np.inf, np.diag(part))
+        covariance[np.ix_(free, free)] = part
         reach = scipy.special.stdtrit(freedom, EDGES[1]) * np.sqrt(np.diag(covariance))
         return Estimate(
             labels,
@@ -191,51 +212,9 @@ class Residuals:
             np.column_stack([values - reach, values + reach]),
             scales,
             tuple(at_bound.tolist()),
-            directions,
+            _directions(scaled, vectors, lost),
             self._deviations,
         )
-
-
-def _sandwich(
-    missed: Array,
-    slopes: Array,
-    of_row: Indices,
-    priors: Priors,
-    scales: Array,
-    free: Mask,
-) -> tuple[Array, tuple[Direction, ...], Array]:
-    """Return the covariance of estimates, the principal directions of the free ones, and freedom.
-
-    ``missed``, shape (n, m), are residuals without unit, ``slopes`` their derivatives by the p free
-    unknowns in units of their scales; ``of_row`` is the index of the independent group of each row.
-    The last array, shape (p_all,), are the degrees of freedom of each unknown.
-    """
-    size = 1 + missed**2
-    count, p = int(of_row.max()) + 1, int(free.sum())
-    scores, parts = np.zeros((count, p)), np.zeros((count, p, p))
-    np.add.at(scores, of_row, np.einsum("ni,nip->np", missed / np.sqrt(size), slopes))
-    np.add.at(parts, of_row, np.einsum("nip,ni,niq->npq", slopes, size**-1.5, slopes))
-    known = priors.slopes(scales.size).sum(axis=0)
-    prior = np.diag((known * scales)[free] ** 2)
-    values, vectors = np.linalg.eigh(parts.sum(axis=0) + prior)
-    lost = values <= min(SINGULAR * max(values.max(initial=0.0), 1e-300), KNOWN)
-    half = vectors[:, ~lost] / np.sqrt(values[~lost])  # inverse of the Hessian: half @ half.T
-    leverage, axes = np.linalg.eigh(half.T @ parts @ half)
-    larger = np.sqrt(1 - np.minimum(leverage, MAX_LEVERAGE))
-    scores = np.einsum("gij,gj->gi", axes, np.einsum("gij,gi->gj", axes, scores @ half) / larger)
-    own = half.T @ prior @ half
-    scaled = half @ (scores.T @ scores + own) @ half.T
-    shares = np.einsum("pi,gij,pj->gp", half, half.T @ parts @ half, half)  # of the variances
-    total = shares.sum(axis=0) + np.diag(half @ own @ half.T)
-    freedom = np.ones(scales.size)
-    freedom[free] = np.maximum(total**2 / np.maximum((shares**2).sum(axis=0), 1e-300) - 1, 1)
-    directions = _directions(scaled, vectors, lost)
-    undetermined = (vectors[:, lost] ** 2).sum(axis=1) > LOST_SHARE
-    covariance = np.zeros((scales.size, scales.size))
-    part = scaled * np.outer(scales[free], scales[free])
-    part[np.diag_indices(p)] = np.where(undetermined, np.inf, np.diag(part))
-    covariance[np.ix_(free, free)] = part
-    return covariance, directions, freedom
 
 
 def _directions(scaled: Array, vectors: Array, lost: Mask) -> tuple[Direction, ...]:

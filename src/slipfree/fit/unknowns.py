@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple, get_type_hints
 
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, read_table
 from slipfree.core.records import Label
 from slipfree.core.schema import keys_of
 
@@ -69,51 +69,9 @@ class BalanceQuantity(NamedTuple):
     of: str = ""  # "surface" or "campaign": each may have its own number
 
 
-BALANCE: dict[str, BalanceQuantity] = {
-    "radius": BalanceQuantity(
-        "m",
-        "rolling radius of wheels, or factor of the speed of a side",
-        1.0,
-        (1e-3, 10),
-        0.1,
-        True,
-    ),
-    "track": BalanceQuantity(
-        "m", "lateral distance between the outermost wheels", 1.0, (0.01, 20), 0.1, True
-    ),
-    "center_of_mass_ahead": BalanceQuantity("m", "centre of mass, ahead", 0.0, (-2, 2), 0.1),
-    "center_of_mass_right": BalanceQuantity("m", "centre of mass, to the right", 0.0, (-2, 2), 0.1),
-    "stiffness": BalanceQuantity(
-        "s/m", "slip stiffness: force over load and slip velocity", 1.0, (0.02, 1e4), 1.5, True
-    ),
-    "gyration": BalanceQuantity(
-        "m^2", "moment of inertia about the vertical over mass", 0.35, (1e-3, 100), 0.2, True
-    ),
-    "friction": BalanceQuantity(
-        "1", "coefficient of friction", 0.5, (0.01, 3), 1.0, True, "surface"
-    ),
-    "rolling": BalanceQuantity(
-        "1", "factor of the radii on a surface", 1.0, (0.5, 1.5), 0.05, True, "surface"
-    ),
-    "anisotropy": BalanceQuantity(
-        "1", "friction across over friction along the wheels", 1.0, (0.2, 5), 0.3, True
-    ),
-    "turn_slope": BalanceQuantity(
-        "1", "exponent of the influence of the slope on turns", 0.0, (-8, 8), 3.0
-    ),
-    "turn": BalanceQuantity(
-        "1", "factor of the difference between the sides", 1.0, (0.05, 20), 1.0, True
-    ),
-    "delay": BalanceQuantity(
-        "s", "time from an input to the motion; readings may be late", 0.0, (-1, 2), 0.2
-    ),
-    "lag": BalanceQuantity("s", "first-order lag of the drives", 0.0, (0, 3), 0.3),
-    "age": BalanceQuantity("s", "age of the poses", 0.0, (0, 1), 0.5, False, "campaign"),
-    "sensor_right": BalanceQuantity("m", "position of the sensor, to the right", 0.0, (-5, 5), 1.0),
-    "sensor_ahead": BalanceQuantity("m", "position of the sensor, ahead", 0.0, (-5, 5), 1.0),
-    "sensor_heading": BalanceQuantity(
-        "rad", "orientation of the sensor, left positive", 0.0, (-7, 7), 1.0
-    ),
+BALANCE = {
+    name: BalanceQuantity(**{**row, "bounds": tuple(row["bounds"])})
+    for name, row in read_table(__file__, "balance.toml").items()
 }
 
 

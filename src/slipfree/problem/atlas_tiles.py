@@ -7,7 +7,7 @@ computation continues where it was, with equal files. Files are written tile by 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,8 +24,7 @@ from slipfree.problem.build_ground import Extremes
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasSetup, build_atlas
 from slipfree.show.atlas_figures import AtlasView, friction_maps
-from slipfree.system.parts import PartsWatch, study
-from slipfree.system.processes import Pool
+from slipfree.system.parts import PartsWatch, Workers, study
 
 DRAWN = 1000  # largest number of nodes along an axis of a figure
 WIDE = 0.01  # difference of bounds of the least friction that is reported [1]
@@ -55,21 +54,17 @@ class TileTask(NamedTuple):
 
 def compute_tile(task: TileTask) -> Array:
     """Return the values of the bands in a tile, shape (n_bands, n_headings, n_x, n_y)."""
-    return _tile(_setup(*task[:-1]), task.number)
+    return _tile(_setup(task._replace(number=0)), task.number)
 
 
 @lru_cache(maxsize=1)  # a process computes many tiles
-def _setup(
-    recipe: inputs.Recipe,
-    digests: tuple[tuple[str, str], ...],
-    known: tuple[tuple[str, Extremes], ...],
-) -> AtlasSetup:
-    problem = recipe.load()
-    setup = build_atlas(problem, dict(known))
-    if input_states(problem).digests != dict(digests):
+def _setup(task: TileTask) -> AtlasSetup:
+    problem = task.recipe.load()
+    setup = build_atlas(problem, dict(task.known))
+    if input_states(problem).digests != dict(task.digests):
         raise DataError(
-            f"{recipe.path}: expected the input files with which the computation started, found "
-            "others; copy them to all workers, and repeat the command"
+            f"{task.recipe.path}: expected the input files with which the computation started, "
+            "found others; copy them to all workers, and repeat the command"
         )
     return setup
 
@@ -123,12 +118,7 @@ class TileFolder(inputs.ProblemParts[Array]):
         return Atlas(setup.x, setup.y, setup.heading, bands, self._reasons)
 
 
-def run_tiles(
-    setup: AtlasSetup,
-    folder: TileFolder,
-    workers: int | Callable[[Callable[..., Any]], Pool[Any, Any]],
-    watch: PartsWatch,
-) -> None:
+def run_tiles(setup: AtlasSetup, folder: TileFolder, workers: Workers, watch: PartsWatch) -> None:
     """Compute the missing tiles of a map, and store each as soon as it is finished.
 
     The other arguments are those of `study`.

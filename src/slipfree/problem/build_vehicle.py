@@ -6,7 +6,7 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from slipfree.files.urdf.elements import read_tree
 from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.reader import forward_guess, read_urdf
-from slipfree.files.urdf.roles import NO_ROLES, JointRole, UrdfTable, completed
+from slipfree.files.urdf.roles import NO_ROLES, UrdfTable, completed
 from slipfree.files.urdf.tree import Tree
 from slipfree.files.urdf.xml import check_ending, is_description, parse_robot
 from slipfree.files.vehicle_toml import (
@@ -220,8 +220,8 @@ def _tree(path: Path, trusted: frozenset[str], table: UrdfTable | None, file: Fi
         wrong = [key for key, value in arguments.items() if not HARMLESS.fullmatch(value)]
         if wrong:
             raise file.error([Fault(("arguments", key), expected, found) for key in wrong])
-    expansion = xacro.expanded(path, arguments)
-    return read_tree(expansion.data, f"{path} (expanded)", macros=expansion.macros)
+    expansion, macros = xacro.expanded(path, arguments)
+    return read_tree(expansion, f"{path} (expanded)", macros=macros)
 
 
 def _urdf(
@@ -274,39 +274,24 @@ def _check(table: UrdfTable, tree: Tree, file: File) -> None:
         )
     carried: list[str] = []
     for name in new:
-        place, joint = ("joints", name), table.joints[name]
-        faults += [Fault(place, *words) for words in _new_joint_errors(name, joint, tree, carried)]
+        joint, wrong = table.joints[name], list[tuple[str, str]]()
+        if name in tree.joints or name in tree.links:
+            found = f"{name!r}, which is in the URDF; rename the joint, or remove 'carries'"
+            wrong.append(("a new name for a joint with 'carries'", found))
+        if joint.axis is None:
+            found = "none; add 'axis', such as [0, 1, 0] to the left"
+            wrong.append(("an axis of the new joint", found))
+        there = [each for each in joint.carries if each in tree.joints]
+        if unknown := [each for each in joint.carries if each not in there]:
+            expected = f"joints of the URDF in 'carries' ({', '.join(tree.joints)})"
+            wrong.append((expected, f"{', '.join(map(repr, unknown))}; correct the names"))
+        elif len(parents := {tree.joints[each].parent for each in there}) > 1:
+            found = f"the parent links {', '.join(sorted(parents))}; add a new joint for each link"
+            wrong.append(("joints with the same parent link in 'carries'", found))
+        if (twice := [each for each in there if each in carried]) and not unknown:
+            found = f"{', '.join(twice)} in several; keep each joint in one 'carries'"
+            wrong.append(("joints that no other new joint carries", found))
+        faults += [Fault(("joints", name), *words) for words in wrong]
         carried += joint.carries
     if faults:
         raise file.error(faults)
-
-
-def _new_joint_errors(
-    name: str, joint: JointRole, tree: Tree, carried: Sequence[str]
-) -> Iterator[tuple[str, str]]:
-    """Yield expected and found value for each error of a joint that is not in the URDF."""
-    if name in tree.joints or name in tree.links:
-        yield (
-            "a new name for a joint with 'carries'",
-            f"{name!r}, which is in the URDF; rename the joint, or remove 'carries'",
-        )
-    if joint.axis is None:
-        yield "an axis of the new joint", "none; add 'axis', such as [0, 1, 0] to the left"
-    unknown = [each for each in joint.carries if each not in tree.joints]
-    if unknown:
-        yield (
-            f"joints of the URDF in 'carries' ({', '.join(tree.joints)})",
-            f"{', '.join(map(repr, unknown))}; correct the names",
-        )
-        return
-    parents = {tree.joints[each].parent for each in joint.carries}
-    if len(parents) > 1:
-        yield (
-            "joints with the same parent link in 'carries'",
-            f"the parent links {', '.join(sorted(parents))}; add a new joint for each link",
-        )
-    if twice := [each for each in joint.carries if each in carried]:
-        yield (
-            "joints that no other new joint carries",
-            f"{', '.join(twice)} in several; keep each joint in one 'carries'",
-        )

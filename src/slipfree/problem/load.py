@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -93,19 +93,6 @@ def load_problem(
     """
     path = Path(path)
     return load_again(path, toml.read_text(path), settings, trusted_paths(trust), command=command)
-
-
-def load_variants(
-    path: str | Path, settings: Sequence[str], variants: Iterable[Sequence[str]]
-) -> Iterator[Problem[Any]]:
-    """Yield the variants of the problem in a TOML file, which is read once; see `load_problem`.
-
-    ``settings`` are those of all variants, ``variants`` the further settings of each one, from the
-    option ``--vary``.
-    """
-    text = toml.read_text(Path(path))
-    for varied in variants:
-        yield load_again(Path(path), text, settings, varied=varied)
 
 
 def load_again(

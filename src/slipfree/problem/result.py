@@ -29,16 +29,9 @@ from slipfree.geometry.mesh import TriangleMesh
 from slipfree.models.given_rates import COMMANDS, ROBOT
 from slipfree.models.montana import Difference
 from slipfree.plan.polynomial_motion import SavedPlan
+from slipfree.problem import build_vehicle
 from slipfree.problem.build import Setup, World
 from slipfree.problem.build_ground import GroundMap, at, ground_table
-from slipfree.problem.build_vehicle import (
-    VehicleFile,
-    build_vehicle,
-    is_vehicle_file,
-    read_vehicle,
-    vehicle_file,
-    visual_meshes,
-)
 from slipfree.problem.inputs import DIGESTS, digests
 from slipfree.problem.load import check_option, find_motion_verb, load_again, load_problem, verb_of
 from slipfree.problem.problem import Problem, shared
@@ -248,7 +241,7 @@ def export_mcap(file: Path, out: Path) -> None:
     check_name(out, file, (".mcap",))
     result = open_result(file)
     check_motion(file, result.trajectory, ("x", "y", "z", "wheel_angle", "slip_along"))
-    robot = vehicle_file(result.problem.spec.vehicle, result.problem).robot
+    robot = build_vehicle.vehicle_file(result.problem.spec.vehicle, result.problem).robot
     write_mcap(out, result.trajectory, base.world_of(result).vehicle, robot)
 
 
@@ -344,9 +337,11 @@ def store_world(
     if isinstance(ground.mu, Grid):
         arrays |= _arrays(FRICTION, ground.mu, reach, run, further)
     if (name := spec.vehicle.file) is not None:
-        contents = vehicle_file(spec.vehicle, problem)
+        contents = build_vehicle.vehicle_file(spec.vehicle, problem)
         key = problem.folder / name, problem.trusted
-        visuals = shared("visuals", key, lambda: reduced(visual_meshes(contents), MAX_FACES))
+        visuals = shared(
+            "visuals", key, lambda: reduced(build_vehicle.visual_meshes(contents), MAX_FACES)
+        )
         built, robot, _ = problem.vehicles[name] = contents._replace(visuals=visuals)
         if robot is not None:
             robot = robot._replace(tree=replace(robot.tree, file=Path(robot.tree.file).name))
@@ -388,11 +383,11 @@ def _arrays(
 
 def read_world(
     file: Path, run: Trajectory, arrays: Mapping[str, Array]
-) -> tuple[Grounds, dict[str, VehicleFile]]:
+) -> tuple[Grounds, dict[str, build_vehicle.VehicleFile]]:
     """Return ground and vehicle of the result ``file``; raise DataError if they are damaged."""
     try:
         stored = StoredWorld.model_validate_json(run.attributes.get(STORED, ""))
-        vehicle, vehicles = stored.vehicle, dict[str, VehicleFile]()
+        vehicle, vehicles = stored.vehicle, dict[str, build_vehicle.VehicleFile]()
         friction = stored.friction
         mu = _grid(FRICTION, arrays) if isinstance(friction, str) else friction
         words = "" if friction is None else str(friction)
@@ -401,7 +396,7 @@ def read_world(
         if vehicle is not None:
             built = replace(read_toml(file_of(file, vehicle.text)).vehicle(), notes=vehicle.notes)
             visuals = {} if vehicle.robot is None else _visuals(vehicle.robot, arrays)
-            vehicles[vehicle.file] = VehicleFile(built, vehicle.robot, visuals)
+            vehicles[vehicle.file] = build_vehicle.VehicleFile(built, vehicle.robot, visuals)
     except (ValidationError, KeyError, DataError, ModelError) as error:
         found = f"others ({str(error).splitlines()[0]}); run the problem again"
         if STORED not in run.attributes or isinstance(error, KeyError):
@@ -461,11 +456,11 @@ def export_code(file: Path, folder: Path, trust: Sequence[Path] = ()) -> Control
     ModelError
         If the vehicle cannot follow the velocities, or an inverse problem gives other rates.
     """
-    if is_vehicle_file(file):
-        return export_controller(read_vehicle(file, trust=trust), folder)
+    if build_vehicle.is_vehicle_file(file):
+        return export_controller(build_vehicle.read_vehicle(file, trust=trust), folder)
     problem: Problem[Any] = load_problem(file, command="vehicle", trust=trust)
     spec, given, exact = problem.spec, tuple(COMMANDS), False
-    vehicle = build_vehicle(problem)
+    vehicle = build_vehicle.build_vehicle(problem)
     if isinstance(spec, Inverse) and spec.given:
         if not are_commands(spec.given):
             raise ModelError(

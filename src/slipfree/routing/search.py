@@ -18,8 +18,10 @@ import numpy.typing as npt
 import scipy
 
 from slipfree.atlas.atlas import atlas, least_bounds
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask, with_overview
+from slipfree.core.schema import Count, NonNegative
 from slipfree.geometry.path import Path
 from slipfree.geometry.regions import Region
 from slipfree.models.kinematics import direct_kinematics
@@ -434,8 +436,9 @@ class Route(NamedTuple):
     length: float
 
 
+@checked
 def route(
-    layers: Traversability, start: Point, goal: Point, *, turning_radius: float = 0.0
+    layers: Traversability, start: Point, goal: Point, *, turning_radius: NonNegative = 0.0
 ) -> Array:
     """Return way-points, shape (n, 2), of the route of least cost from a start to a goal [m].
 
@@ -446,8 +449,14 @@ def route(
     return routes(layers, start, goal, 1, turning_radius=turning_radius)[0].points
 
 
+@checked
 def routes(
-    layers: Traversability, start: Point, goal: Point, count: int, *, turning_radius: float = 0.0
+    layers: Traversability,
+    start: Point,
+    goal: Point,
+    count: Count,
+    *,
+    turning_radius: NonNegative = 0.0,
 ) -> list[Route]:
     """Return several routes of different homotopy classes, in order of cost.
 
@@ -474,9 +483,7 @@ def routes(
     ModelError
         As `route` does, or if the count is not positive.
     """
-    if count < 1:
-        raise ModelError(f"routes: expected a count of at least 1, found {count}; increase it")
-    _check_ends(layers, start, goal, turning_radius)
+    _check_ends(layers, start, goal)
     ends = np.asarray(start, float), np.asarray(goal, float)
     obstacles = obstacle_points(layers)
     by_class: dict[tuple[int, ...], Route] = {}
@@ -506,16 +513,9 @@ def routes(
 # Search
 
 
-def _check_ends(layers: Traversability, start: Point, goal: Point, turning_radius: float) -> None:
+def _check_ends(layers: Traversability, start: Point, goal: Point) -> None:
     for name, point in (("start", start), ("goal", goal)):
-        x, y = (float(each) for each in point)
-        if not (math.isfinite(x) and math.isfinite(y)):
-            raise ModelError(
-                f"route: expected finite coordinates of the {name}, found {point_text(point)}; "
-                "correct them"
-            )
-        why = blocking_reasons(layers, x, y)
-        if why:
+        if why := blocking_reasons(layers, *map(float, point)):
             raise ModelError(
                 f"route: the vehicle cannot be at the {name} {point_text(point)}: {why}; "
                 f"move the {name}"
@@ -524,11 +524,6 @@ def _check_ends(layers: Traversability, start: Point, goal: Point, turning_radiu
         raise ModelError(
             f"route: expected different start and goal, found both at "
             f"{point_text(start)}; move one of them"
-        )
-    if not 0 <= turning_radius < math.inf:
-        raise ModelError(
-            "route: expected a finite 'turning_radius' of at least 0, found "
-            f"{turning_radius} m; give 0 for no minimum"
         )
 
 
@@ -614,9 +609,17 @@ def unreachable(
     from the start. No other reason is sure: a route requires space for every heading, a motion does
     not.
     """
-    objections = [
-        each for position in positions if (each := _position_objection(layers, *position))
-    ]
+    objections = list[Objection]()
+    for name, x, y in positions:
+        reasons = reasons_by_kind(layers, x, y)
+        is_off = to_edge(layers.limits, np.asarray(x), np.asarray(y)) < 0
+        found = {kind: reasons[kind] for kind in REMEDIES if kind in reasons}
+        if not is_off:
+            found.pop("edge", None)
+        if found:
+            remedies = " or ".join([f"move the {name}", *(REMEDIES[kind] for kind in found)])
+            words = f"the vehicle cannot be at the {name} {point_text((x, y))}: "
+            objections.append(Objection(name, f"{words}{'; '.join(found.values())}; {remedies}"))
     off = {each.name for each in objections}
     first, *others = positions
     if first[0] in off:
@@ -688,20 +691,6 @@ def separation_words(layers: Traversability, places: Sequence[Point], *, by_fric
         if regions[node_at(held, *start)] != regions[node_at(held, *goal)]:
             return no_route_words(held, start, goal)
     return ""
-
-
-def _position_objection(layers: Traversability, name: str, x: float, y: float) -> Objection | None:
-    """Return the reason why the vehicle cannot be at a position, or None."""
-    is_off = to_edge(layers.limits, np.asarray(x), np.asarray(y)) < 0
-    kinds = ("edge", "keep_out") if is_off else ("keep_out",)
-    reasons = reasons_by_kind(layers, x, y)
-    why = {kind: reasons[kind] for kind in kinds if kind in reasons}
-    if not why:
-        return None
-    remedies = " or ".join([f"move the {name}", *(REMEDIES[kind] for kind in why)])
-    place = point_text((x, y))
-    words = f"the vehicle cannot be at the {name} {place}: {'; '.join(why.values())}; {remedies}"
-    return Objection(name, words)
 
 
 def _keep_out_words(layers: Traversability, start: Point, goal: Point) -> str:

@@ -15,8 +15,10 @@ import numpy.typing as npt
 
 from slipfree.atlas.atlas import Atlas, atlas
 from slipfree.batch.evaluator import evaluator_of
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
+from slipfree.core.schema import Finite, Positive
 from slipfree.geometry.regions import Region
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.system.codegen_cache import compiler_limit
@@ -25,7 +27,7 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import hole_distance
 from slipfree.vehicle.tree import Vehicle
 
-Point = tuple[float, float] | Array
+Point = tuple[Finite, Finite] | Array
 # Costs per metre, added to the cost 1 of level ground. An inclination of `STEEP`, full use of the
 # friction, and a pose about to tip over leave no margin: each adds 4.
 INCLINATION = 4.0
@@ -100,12 +102,13 @@ class Traversability(NamedTuple):
         return np.asarray((1 - part) * first + part * np.where(part > 0, second, 0.0))
 
 
+@checked
 def free_space(
     terrain: Bicubic,
     vehicle: Vehicle,
     *,
     keep_out: Iterable[Region] = (),
-    spacing: float | None = None,
+    spacing: Positive | None = None,
 ) -> Traversability:
     """Return where the wheels of a vehicle stay on a map in any heading, at a cost of 1.
 
@@ -142,12 +145,13 @@ def free_space(
     return layers
 
 
+@checked
 def traversability(
     terrain: Bicubic,
     vehicle: Vehicle,
     *,
     keep_out: Iterable[Region] = (),
-    spacing: float | None = None,
+    spacing: Positive | None = None,
     backwards: bool = False,
     places: Array | None = None,
     seconds: float = math.inf,
@@ -205,12 +209,14 @@ def traversability(
     model = direct_kinematics(vehicle, terrain)
     heading = 2 * np.pi * np.arange(HEADINGS) / HEADINGS
 
-    def nodes_of(step: int) -> tuple[Array, Array]:
-        x, y = (
-            _thinned(axis, a - room, b + room, step)
-            for axis, a, b in zip((layers.x, layers.y), low, high, strict=True)
-        )
-        return x, y
+    def nodes_of(step: int) -> list[Array]:
+        """Return some nodes of both axes and their last, farther apart outside the room."""
+        nodes = list[Array]()
+        for axis, a, b in zip((layers.x, layers.y), low - room, high + room, strict=True):
+            index, near = np.arange(axis.size), (axis >= a) & (axis <= b)
+            chosen = (index % np.where(near, step, AWAY * step) == 0) | (index == axis.size - 1)
+            nodes.append(axis[chosen])
+        return nodes
 
     x, y = nodes_of(step)
     count = HEADINGS * x.size * y.size * (RESTING if model.rest.numel() else 1)
@@ -226,14 +232,6 @@ def traversability(
     cost = _spread(pose_costs(poses), is_known, poses, layers)
     cost[:, np.isinf(layers.cost[0])] = math.inf
     return layers._replace(heading=heading, cost=cost, poses=poses)
-
-
-def _thinned(axis: Array, low: float, high: float, step: int) -> Array:
-    """Return some nodes of an axis and its last, `AWAY` times as far apart outside an interval."""
-    index = np.arange(axis.size)
-    near = (axis >= low) & (axis <= high)
-    chosen = (index % np.where(near, step, AWAY * step) == 0) | (index == axis.size - 1)
-    return np.asarray(axis[chosen])
 
 
 def pose_costs(poses: Atlas) -> Array:
@@ -276,11 +274,6 @@ def _spread(cost: Array, is_known: Mask, poses: Atlas, layers: Traversability) -
 def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
     """Return the axes of the cost grid; the axes of the ground if they have the given spacing."""
     extent = min(float(np.ptp(grid.x)), float(np.ptp(grid.y)))
-    if not spacing > 0:
-        raise ModelError(
-            f"traversability: expected a positive 'spacing', found {spacing:.4g} m; give a "
-            "positive length, or omit it for the default"
-        )
     if spacing > extent / 2:
         raise ModelError(
             "traversability: expected a 'spacing' of at most half the smaller side of the map, "

@@ -26,18 +26,18 @@ from slipfree.core.facts import Fact, Lines, numbers
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.core.version import __version__
+from slipfree.files import toml
 from slipfree.files.netcdf import NOTHING, write
 from slipfree.files.tables import write_rows
-from slipfree.files.toml import key_path, load_toml
 from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.problem import inputs
 from slipfree.problem.build import unit_of
-from slipfree.problem.load import load_variants, verb_of
+from slipfree.problem.load import load_again, verb_of
 from slipfree.problem.problem import Problem, Shared, sharing
 from slipfree.problem.result import run_problem
 from slipfree.show.swept import Swept, Varied
-from slipfree.system.parts import Identity, Parts, PartsWatch, study
-from slipfree.system.processes import Pool, Processes
+from slipfree.system.parts import Identity, Parts, PartsWatch, Workers, study
+from slipfree.system.processes import Processes
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 RANGE = re.compile(rf"\s*({NUMBER})\s*:\s*({NUMBER})\s*:\s*(\d+)\s*")
@@ -138,7 +138,8 @@ def sweep_of(
             f"sweep: expected at most {MAX_RUNS} runs, found {sizes}; vary fewer values, or "
             "reduce --repeat"
         )
-    problems = load_variants(file, settings, _checked_points(axes))
+    text, points = toml.read_text(file), _checked_points(axes)
+    problems = (load_again(file, text, settings, varied=varied) for varied in points)
     first = replace(next(problems), trusted=trusted_paths(trust))
     files, count = inputs.input_files(first), sum(len(axis.values) for axis in axes)
     for done, problem in enumerate(problems, 1 + len(axes)):
@@ -179,7 +180,7 @@ def axis_of(text: str) -> Varied:
     key, equals, rest = text.partition("=")
     text = shortened(text)
     try:
-        spelled = ".".join(key_path(key))
+        spelled = ".".join(toml.key_path(key))
     except ValueError:
         spelled = ""
     if not (spelled and equals and rest.strip()):
@@ -198,7 +199,7 @@ def axis_of(text: str) -> Varied:
         # equal for values with the same meaning in TOML, as 1 and 1.0, or a word with quotes
         meaning: object = value.strip()
         with suppress(ValueError):
-            number = load_toml(f"value = {value}")["value"]
+            number = toml.load_toml(f"value = {value}")["value"]
             meaning = number if isinstance(number, str) else repr(number)
             if isinstance(number, int | float) and not isinstance(number, bool):
                 meaning = float(number)
@@ -226,7 +227,7 @@ def _check_keys(axes: Sequence[Varied], settings: Sequence[str]) -> None:
 
     A table may be set and one of its keys varied; the varied values then replace the key's value.
     """
-    paths = [key_path(axis.name) for axis in axes]
+    paths = [toml.key_path(axis.name) for axis in axes]
     for long, short in permutations(paths, 2):
         if long[: len(short)] == short:
             raise DataError(
@@ -235,7 +236,7 @@ def _check_keys(axes: Sequence[Varied], settings: Sequence[str]) -> None:
             )
     for setting in settings:
         try:
-            set_path = key_path(setting.partition("=")[0])
+            set_path = toml.key_path(setting.partition("=")[0])
         except ValueError:
             continue  # reading the problem reports the error
         for path in paths:
@@ -270,7 +271,7 @@ def _values(text: str) -> tuple[str, ...]:
     TOML text equals JSON for strings, numbers, booleans and arrays.
     """
     with suppress(ValueError, TypeError):
-        values = load_toml(f"values = [{text}]")["values"]
+        values = toml.load_toml(f"values = [{text}]")["values"]
         if not any(isinstance(value, dict) for value in values):
             return tuple(json.dumps(value, ensure_ascii=False) for value in values)
     return tuple(part.strip() for part in text.split(","))
@@ -619,7 +620,7 @@ def plan_facts(sweep: Sweep) -> Lines:
 def run_sweep(
     sweep: Sweep,
     rows: Rows,
-    workers: int | Callable[[Callable[..., Any]], Pool[Any, Any]] = 1,
+    workers: Workers = 1,
     *,
     keep: bool = False,
     watch: PartsWatch = PartsWatch(),

@@ -32,6 +32,7 @@ PART, KEY, DIGEST = "part", "key", "sha256"  # keys of the line of a part
 ANOTHER_FOLDER = "choose another folder with -o"
 T = TypeVar("T")
 D = TypeVar("D")
+Workers = int | Callable[[Callable[..., Any]], Pool[Any, Any]]  # their number, or a maker of pools
 
 
 class Identity(NamedTuple):
@@ -290,7 +291,7 @@ class PartsWatch(NamedTuple):
 def study(
     function: Callable[[T], D],
     parts: Parts[D] | None = None,
-    workers: int | Callable[[Callable[..., Any]], Pool[Any, Any]] = 1,
+    workers: Workers = 1,
     *,
     here: Callable[[T], D] | None = None,
     lost: Callable[[T, str], D] | None = None,

@@ -15,17 +15,8 @@ from slipfree.core.arguments import checked
 from slipfree.core.lookups import CellBounds, Cells, LookupTable
 from slipfree.core.records import Array, Indices
 from slipfree.system.forks import cached_property
-from slipfree.terrain.base import (
-    DerivativeBounds,
-    Friction,
-    Grid,
-    GroundFriction,
-    Jet,
-    bounds_of,
-    check_friction,
-    pad_border,
-    polynomial_jet,
-)
+from slipfree.terrain import base
+from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import hole_distance
 from slipfree.terrain.kernel import Opened, register_ground
 
@@ -40,7 +31,7 @@ COLUMNS_AT_ONCE = 64  # splines solved together; their values stay in the proces
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Bicubic(GroundFriction):
+class Bicubic(base.GroundFriction):
     """The bicubic not-a-knot spline through the heights of a grid.
 
     It is the surface of ``scipy.interpolate.RectBivariateSpline(x, y, z, s=0)``. Height and
@@ -100,7 +91,7 @@ class Bicubic(GroundFriction):
 
     grid: Grid
     center: tuple[float, float] | None = None
-    mu: Friction = None
+    mu: base.Friction = None
     through: bool = field(default=True, kw_only=True)
 
     def __repr__(self) -> str:
@@ -110,7 +101,7 @@ class Bicubic(GroundFriction):
         )
 
     def __post_init__(self) -> None:
-        check_friction(self.mu)
+        base.check_friction(self.mu)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields for pickling; an unpickled copy computes the coefficients again."""
@@ -137,11 +128,11 @@ class Bicubic(GroundFriction):
         """Return the local height at a local point [m]."""
         return self.jet(x, y, lookups).height
 
-    def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
+    def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> base.Jet:
         """Return height, gradient and Hessian at a local point."""
         cell, key = self._cell
         coefficients = lookups.find(cell, ca.vertcat(x, y, key), cells=self.cells)
-        return polynomial_jet(coefficients, CUBIC, x, y)
+        return base.polynomial_jet(coefficients, CUBIC, x, y)
 
     def nearest_point(self, r1: float, r2: float, radius: float) -> ca.Function | None:
         """Return the compiled search for the ground point nearest to a torus; None without kernel.
@@ -232,13 +223,15 @@ class Bicubic(GroundFriction):
         xx = largest(np.diff(along_x, axis=0) / h_x, (2, 0))
         yy = largest(np.diff(along_y, axis=1) / h_y, (0, 2))
         xy = largest(np.diff(along_x, axis=1) / h_y, (1, 1))
-        return bounds_of(largest(along_x, (1, 0)), largest(along_y, (0, 1)), xx, xy, yy)
+        return base.bounds_of(largest(along_x, (1, 0)), largest(along_y, (0, 1)), xx, xy, yy)
 
     @cached_property
-    def _known_bounds(self) -> DerivativeBounds:
+    def _known_bounds(self) -> base.DerivativeBounds:
         x_min, _, y_min, _ = self.domain
         corner, spacing = (x_min, y_min), self._spacing
-        return DerivativeBounds(BLOCK, self._block_bounds, self.domain, corner, lambda _: spacing)
+        return base.DerivativeBounds(
+            BLOCK, self._block_bounds, self.domain, corner, lambda _: spacing
+        )
 
     @cached_property
     def _spacing(self) -> tuple[float, float]:
@@ -350,12 +343,12 @@ def coefficients_of(values: Array, *, through: bool) -> Array:
     return coefficients
 
 
-def friction_map(mu: Friction, center: tuple[float, float]) -> Bicubic | None:
+def friction_map(mu: base.Friction, center: tuple[float, float]) -> Bicubic | None:
     """Return the surface of a friction map in local coordinates about a centre; None without a map.
 
     Its local height is the coefficient minus ``origin[2]``, the mean over the nodes.
     """
-    return Bicubic(pad_border(mu), center, through=False) if isinstance(mu, Grid) else None
+    return Bicubic(base.pad_border(mu), center, through=False) if isinstance(mu, Grid) else None
 
 
 def _basis(u: Any) -> tuple[Any, Any, Any, Any]:

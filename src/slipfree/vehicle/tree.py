@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
@@ -15,17 +15,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, listed, similar
 from slipfree.core.records import Array, HtmlRepr, field_overview, overview
 from slipfree.core.schema import Finite, NonNegative, Positive
-from slipfree.geometry.frame import (
-    FIXED,
-    Axis,
-    Elements,
-    Pose,
-    Vector,
-    tensor,
-    translation,
-    turn,
-    unit_vector,
-)
+from slipfree.geometry import frame
 from slipfree.vehicle.formula import evaluate, names_in
 from slipfree.vehicle.shapes import BodyShape
 from slipfree.vehicle.wheel import NO_DRIVE, ORIGIN, RATE, Drive, Wheel
@@ -64,14 +54,14 @@ class Body:
     """
 
     mass: NonNegative = 0.0
-    at: Vector = ORIGIN
-    inertia: Elements | None = None
+    at: frame.Vector = ORIGIN
+    inertia: frame.Elements | None = None
     shapes: tuple[BodyShape, ...] = ()
 
     __repr__ = field_overview
 
     def __post_init__(self) -> None:
-        least = 1.0 if self.inertia is None else np.linalg.eigvalsh(tensor(self.inertia))[0]
+        least = 1.0 if self.inertia is None else np.linalg.eigvalsh(frame.tensor(self.inertia))[0]
         if least <= 0:
             raise ModelError(
                 "body: the principal moments of inertia must be positive, found the smallest to be "
@@ -212,18 +202,18 @@ class Joint:
 
     name: str
     parent: str
-    axis: Axis
-    at: Vector
+    axis: frame.Axis
+    at: frame.Vector
     value: str
     motion: Literal["turn", "slide"] = "turn"
     body: Body = Body()
-    turned: Vector = ORIGIN
+    turned: frame.Vector = ORIGIN
 
     __repr__ = field_overview
 
     def __post_init__(self) -> None:
         try:
-            unit_vector(self.axis)
+            frame.unit_vector(self.axis)
         except ModelError as error:
             raise ModelError(f"joint {self.name!r}: axis: {error}") from error
         try:
@@ -236,16 +226,16 @@ class Joint:
         """Names of the coordinates in the formula of the joint's value."""
         return names_in(self.value)
 
-    def pose(self, values: Mapping[str, ca.SX]) -> Pose:
+    def pose(self, values: Mapping[str, ca.SX]) -> frame.Pose:
         """Return the pose of the part in its parent's frame, for values of coordinates by name."""
         value = evaluate(self.value, values)
         x, y, z = self.turned
-        place = translation(*self.at)
+        place = frame.translation(*self.at)
         if any(self.turned):
-            place = place @ turn("z", z) @ turn("y", y) @ turn("x", x)
+            place = place @ frame.turn("z", z) @ frame.turn("y", y) @ frame.turn("x", x)
         if self.motion == "turn":
-            return place @ turn(self.axis, value)
-        return place @ translation(*(value * along for along in unit_vector(self.axis)))
+            return place @ frame.turn(self.axis, value)
+        return place @ frame.translation(*(value * along for along in frame.unit_vector(self.axis)))
 
 
 @dataclass(frozen=True)
@@ -318,9 +308,6 @@ class Vehicle(HtmlRepr, VehicleParts):
         )
 
     def __post_init__(self) -> None:
-        _check_unique("coordinate", (c.name for c in self.coordinates))
-        _check_unique("part", ["platform", *(j.name for j in self.joints)])
-        _check_unique("wheel", (w.name for w in self.wheels))
         parts = self.coordinates, self.joints, self.wheels
         for (part, index, *key), expected, found in part_faults(*parts):
             where = ": ".join([f"{part[:-1]} {getattr(self, part)[index].name!r}", *key])
@@ -396,8 +383,8 @@ class Vehicle(HtmlRepr, VehicleParts):
         return min(trails)
 
     def carriers(
-        self, platform: Pose = FIXED, values: Mapping[str, ca.SX] = {}
-    ) -> tuple[Pose, ...]:
+        self, platform: frame.Pose = frame.FIXED, values: Mapping[str, ca.SX] = {}
+    ) -> tuple[frame.Pose, ...]:
         """Return the pose of each wheel's carrier: origin at the centre, x axis along the axle.
 
         Parameters
@@ -411,7 +398,7 @@ class Vehicle(HtmlRepr, VehicleParts):
         return tuple(parts[wheel.parent] @ wheel.mount for wheel in self.wheels)
 
     def masses(
-        self, platform: Pose = FIXED, values: Mapping[str, ca.SX] = {}
+        self, platform: frame.Pose = frame.FIXED, values: Mapping[str, ca.SX] = {}
     ) -> Iterator[tuple[str, float, ca.SX]]:
         """Yield name, mass [kg] and centre of mass [m] of every part and wheel with a mass.
 
@@ -424,9 +411,11 @@ class Vehicle(HtmlRepr, VehicleParts):
         bodies += [(wheel.parent, Body(wheel.mass, wheel.at)) for wheel in self.wheels]
         for part, body in bodies:
             if body.mass:
-                yield part, body.mass, (parts[part] @ translation(*body.at)).origin
+                yield part, body.mass, (parts[part] @ frame.translation(*body.at)).origin
 
-    def parts(self, platform: Pose = FIXED, values: Mapping[str, ca.SX] = {}) -> dict[str, Pose]:
+    def parts(
+        self, platform: frame.Pose = frame.FIXED, values: Mapping[str, ca.SX] = {}
+    ) -> dict[str, frame.Pose]:
         """Return the poses of the platform and of the parts of all joints, by name.
 
         Parameters are those of `carriers`.
@@ -480,16 +469,6 @@ def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
     return replace(vehicle, coordinates=coordinates)
 
 
-def _check_unique(kind: str, names: Iterable[str]) -> None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            raise ModelError(
-                f"two {kind}s have the name {name!r}: names must be unique; rename one of them"
-            )
-        seen.add(name)
-
-
 def part_faults(
     coordinates: Sequence[Any],
     joints: Sequence[Any],
@@ -501,6 +480,15 @@ def part_faults(
     A place is the kind of the part, its index and the name of a field. Parts are records, or tables
     of a file, with these fields; ``add`` says how to add a coordinate with a name.
     """
+    for parts in ({"coordinates": coordinates, "wheels": wheels}, {"joints": joints}):
+        seen = {"platform": "the platform"} if "joints" in parts else {}
+        for part, rows in parts.items():
+            for index, name in enumerate(row.name for row in rows):
+                if name in seen:
+                    remedy = "it" if name == "platform" else "one of them"
+                    found = f"{name!r}, also the name of {seen[name]}; rename {remedy}"
+                    yield (part, index, "name"), "a unique name", found
+                seen.setdefault(name, f"{part}[{index}]")
     carriers = ["platform", *(joint.name for joint in joints)]
     for part, rows in (("joints", joints), ("wheels", wheels)):
         for index, row in enumerate(rows):
@@ -541,7 +529,7 @@ def body_inertia(vehicle: Vehicle, part: str) -> Array:
     """
     body = body_of(vehicle, part)
     if body.inertia is not None:
-        return tensor(body.inertia)
+        return frame.tensor(body.inertia)
     places = [(0.0, 0.0, 0.0), body.at]
     places += [joint.at for joint in vehicle.joints if joint.parent == part]
     places += [wheel.at for wheel in vehicle.wheels if wheel.parent == part]

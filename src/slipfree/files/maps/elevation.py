@@ -564,9 +564,6 @@ def read_map(
                 kind = f"a {ending} file" if ending else "a file without an ending"
                 remedy = f"remove it ({key!r} is for {', '.join(_endings(key))})"
                 refuse(f"no {key!r} for {kind}", f"{value!r}", remedy)
-        if geographic not in (None, "local") and not isinstance(geographic, Frame):
-            remedy = "give 'local' for a map in degrees, None for one in metres"
-            refuse("geographic of 'local', a Frame or None", f"{geographic!r}", remedy)
         check_ending(path, "map", _expected_endings(), _endings())
         with regular_file(path, "a map"):
             heights = _reader(ending).read(path, reading)

@@ -51,18 +51,21 @@ def wheel_name(joint: str) -> str:
     return re.sub(r"[^\w-]", "_", joint)
 
 
-def joint_values(
-    vehicle: Vehicle, robot: Robot | None, values: Mapping[str, ca.SX], angles: Mapping[str, ca.SX]
-) -> dict[str, ca.SX]:
+def joint_values(vehicle: Vehicle, robot: Robot | None) -> tuple[ca.SX, dict[str, ca.SX]]:
     """Return the values of moving joints and of wheels, by the name of their joint [rad, m].
 
+    They are functions of the column that precedes them: coordinates, then angles of wheels.
     Joints without effect on the vehicle are at zero, or at the limit closest to zero. Without a
     URDF, whose axes determine signs, angles of wheels are positive forward.
     """
+    names, wheels = [c.name for c in vehicle.coordinates], [w.name for w in vehicle.wheels]
+    q = ca.SX.sym("q", len(names) + len(wheels))
+    values = dict(zip(names, ca.vertsplit(q)[: len(names)], strict=True))
+    angles = dict(zip(wheels, ca.vertsplit(q)[len(names) :], strict=True))
     own = {joint.name: evaluate(joint.value, values) for joint in vehicle.joints}
     released = {joint.name for joint in vehicle.joints if joint.coordinates}
     if robot is None:
-        return {name: value for name, value in own.items() if name in released} | dict(angles)
+        return q, {name: value for name, value in own.items() if name in released} | angles
     signs, joints = _wheel_signs(vehicle, robot), robot.tree.joints
 
     def value(joint: UrdfJoint) -> ca.SX:
@@ -77,7 +80,8 @@ def joint_values(
         still = min(max(0.0, joint.lower), joint.upper) if joint.moves else 0.0
         return ca.SX(offset + factor * still)
 
-    return {name: value(joint) for name, joint in joints.items() if joint.moves or name in released}
+    moving = {n: joint for n, joint in joints.items() if joint.moves or n in released}
+    return q, {name: value(joint) for name, joint in moving.items()}
 
 
 def link_poses(robot: Robot, values: Mapping[str, Array]) -> Iterator[LinkPoses]:
@@ -125,17 +129,13 @@ def joint_motion(
     run: Trajectory, vehicle: Vehicle, robot: Robot | None
 ) -> dict[str, tuple[Array, Array | None]]:
     """Return values [rad, m] of moving joints and wheels, and their rates, None if unknown."""
-    names, wheels = [c.name for c in vehicle.coordinates], [w.name for w in vehicle.wheels]
-    size = len(names) + len(wheels)
-    q, rates = ca.SX.sym("q", size), ca.SX.sym("rates", size)
-    coordinates = dict(zip(names, ca.vertsplit(q)[: len(names)], strict=True))
-    angles = dict(zip(wheels, ca.vertsplit(q)[len(names) :], strict=True))
-    values = joint_values(vehicle, robot, coordinates, angles)
+    (q, values), names = joint_values(vehicle, robot), [c.name for c in vehicle.coordinates]
+    rates = ca.SX.sym("rates", q.numel())
     joints = ca.vertcat(*values.values())
     function = ca.Function("joints", [q, rates], [joints, ca.jtimes(joints, q, rates)])
     is_known = all(f"{name}_rate" in run.columns for name in names)
     columns = np.array([*(run[name] for name in names), *run["wheel_angle"].T])
-    speeds = np.zeros((size, run.t.size))
+    speeds = np.zeros((q.numel(), run.t.size))
     if is_known:
         speeds = np.array([*(run[f"{name}_rate"] for name in names), *run["wheel_rate"].T])
     rows = zip(*(np.array(out) for out in function.map(run.t.size)(columns, speeds)), strict=True)

@@ -12,21 +12,7 @@ import numpy as np
 
 from slipfree.core.records import Array
 from slipfree.files import vehicle_toml
-from slipfree.files.urdf.evidence import (
-    AXLES,
-    CAMERA,
-    CASTER,
-    LEG,
-    SIDES,
-    STEERING,
-    TRACK,
-    WHEEL,
-    Choice,
-    Evidence,
-    evidence,
-    weigh,
-    words_of,
-)
+from slipfree.files.urdf import evidence
 from slipfree.files.urdf.meshes import body_shapes
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, UrdfTable, WheelRole, completed, coupled
 from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
@@ -90,7 +76,21 @@ def read_urdf(tree: Tree, roles: UrdfTable = NO_ROLES) -> vehicle_toml.Draft:
 def _draft(file: Tree, roles: UrdfTable, findings: Findings) -> vehicle_toml.Draft:
     """Return the vehicle of a URDF before its checks: roles and shapes given or guessed."""
     tree = coupled(completed(file, roles), roles.couple)
-    forward = roles.forward or _forward(tree, roles, findings)
+    forward: str = roles.forward or ""
+    if not forward:
+        guess = forward_guess(tree, roles.joints)
+        forward, reason = guess.choice, f"forward along {guess.choice}: {guess.reason}"
+        if guess.is_open:
+            axes = "correct the axes of the wheels, or " * ("along the axles" in guess.reason)
+            findings.add(
+                1,
+                "expected names or axles that determine the forward direction, found that "
+                f'{guess.reason}; {axes}write forward = "{forward}" or forward = "{guess.rival}", '
+                f"the axis of the root link that points forward, {findings.completion}",
+            )
+        elif guess.reason:
+            other = f'forward = "{guess.rival}"'
+            findings.guess("", "forward", {"forward": forward}, reason, other)
     wheels = Wheels(facing_forward(tree, forward), roles, findings)
     for name, (table, values, reason) in wheels.gears.items():
         if wheels.tree.joints[name].moves:
@@ -138,25 +138,6 @@ def _draft(file: Tree, roles: UrdfTable, findings: Findings) -> vehicle_toml.Dra
         (*findings.notes, *shape_notes),
         guesses=tuple(findings.guesses),
     )
-
-
-def _forward(tree: Tree, roles: UrdfTable, findings: Findings) -> str:
-    """Return the guessed forward axis; add an error if the evidence does not determine it."""
-    guess = forward_guess(tree, roles.joints)
-    if guess.is_open:
-        axes = "correct the axes of the wheels, or " if "along the axles" in guess.reason else ""
-        findings.add(
-            1,
-            "expected names or axles that determine the forward direction, found that "
-            f'{guess.reason}; {axes}write forward = "{guess.choice}" or forward = '
-            f'"{guess.rival}", the axis of the root link that points forward, '
-            f"{findings.completion}",
-        )
-    elif guess.reason:
-        reason = f"forward along {guess.choice}: {guess.reason}"
-        other = f'forward = "{guess.rival}"'
-        findings.guess("", "forward", {"forward": guess.choice}, reason, other)
-    return guess.choice
 
 
 def _with_differential(
@@ -249,7 +230,7 @@ def _body(tree: Tree, name: str, shapes: Mapping[str, tuple[BodyShape, ...]]) ->
 
 
 NO_WHEEL, BALLS, TOO_MANY = (
-    weigh(evidence("kind", {fact: True}))._replace(rival="commanded")
+    evidence.weigh(evidence.evidence("kind", {fact: True}))._replace(rival="commanded")
     for fact in ("no wheel", "balls", "too many")
 )
 
@@ -304,15 +285,15 @@ class Joints:
             for mover in followers or [joint]
         )
 
-    def _choice(self, joint: UrdfJoint, carrying: Sequence[UrdfJoint]) -> Choice:
+    def _choice(self, joint: UrdfJoint, carrying: Sequence[UrdfJoint]) -> evidence.Choice:
         """Return the kind of a joint by the evidence for it and its counterpart."""
         kind = self._rocks(joint), joint.type == "prismatic"
         alike = [o for o in carrying if (self._rocks(o), o.type == "prismatic") == kind]
         other = self._tree.mirror_image(joint, alike)
         both = [joint] if other is None or other.mimic else [joint, other]
-        return weigh(piece for each in both for piece in self._evidence(each))
+        return evidence.weigh(piece for each in both for piece in self._evidence(each))
 
-    def _evidence(self, joint: UrdfJoint) -> Iterator[Evidence]:
+    def _evidence(self, joint: UrdfJoint) -> Iterator[evidence.Evidence]:
         rocks, slides = self._rocks(joint), joint.type == "prismatic"
         facts = {
             "rocks": rocks,
@@ -321,14 +302,14 @@ class Joints:
             "turns": not (slides or rocks),
             "swivels": joint.name in self._swivelling,
         }
-        yield from evidence("kind", facts)
+        yield from evidence.evidence("kind", facts)
         yield from self._tree.evidence.get(joint.name, ())
 
-    def kinds(self) -> dict[str, Choice]:
+    def kinds(self) -> dict[str, evidence.Choice]:
         """Return the probable kinds of the joints without a role, unless actuators agree."""
         declared = [role.kind for role in self._roles.joints.values()].count("suspension")
         left = len(self._wheels) - 3 - declared
-        kinds: dict[str, Choice] = {}
+        kinds: dict[str, evidence.Choice] = {}
         candidates: dict[str, UrdfJoint] = {}
         for name, joint in self._free.items():
             if name in self._roles.joints or self._leaders(name):
@@ -357,7 +338,7 @@ class Joints:
                 kinds |= dict.fromkeys(pair, guess)
         return kinds
 
-    def _guess(self, choice: Choice, left: int) -> Choice:
+    def _guess(self, choice: evidence.Choice, left: int) -> evidence.Choice:
         """Return the guess of a choice; ``left`` suspension coordinates are possible."""
         known = self._roles.joints
         alike = tuple(
@@ -420,7 +401,7 @@ class _Coordinates:
         tree: Tree,
         roles: UrdfTable,
         wheels: Sequence[UrdfJoint],
-        kinds: Mapping[str, Choice],
+        kinds: Mapping[str, evidence.Choice],
         findings: Findings,
     ) -> None:
         self._tree, self._roles, self._kinds = tree, roles, kinds
@@ -559,7 +540,9 @@ def tracks(tree: Tree, wheels: Collection[str]) -> list[str]:
     names = [word for words in plugins for word in words[:1] if "track" in word.lower()]
     for joint in tree.joints.values():
         parts = {joint.name, *(below.name for below in tree.below(joint.child))}
-        if parts.isdisjoint(wheels) and any(map(TRACK.fullmatch, words_of(joint.child))):
+        if parts.isdisjoint(wheels) and any(
+            map(evidence.TRACK.fullmatch, evidence.words_of(joint.child))
+        ):
             names.append(joint.child)
     return names
 
@@ -576,7 +559,7 @@ def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: vehicle_toml.Draft) -> st
         if j.moves
         and j.type != "prismatic"
         and not tree.is_level(j)
-        and (tree.links[j.child].shapes or STEERING.search(j.names))
+        and (tree.links[j.child].shapes or evidence.STEERING.search(j.names))
     ]
     if len(steering) + len(wheels) > 2:
         return (
@@ -592,11 +575,12 @@ def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: vehicle_toml.Draft) -> st
     legs = [
         e.name
         for e in ends
-        if any(map(LEG.fullmatch, words_of(e.names))) or (e.moves and len(chains[e.name]) > 1)
+        if any(map(evidence.LEG.fullmatch, evidence.words_of(e.names)))
+        or (e.moves and len(chains[e.name]) > 1)
     ]
     if len(legs) > 2:
         return LEGS.format(", ".join(legs))
-    named = [j for j in ends if WHEEL.search(j.names) or CASTER.search(j.names)]
+    named = [j for j in ends if evidence.WHEEL.search(j.names) or evidence.CASTER.search(j.names)]
     level = [j for j in ends if j in tree.turning]
     radius = usual_radius(tree, named or level)
     sizes: dict[str, dict[str, float]] = {
@@ -612,11 +596,11 @@ def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: vehicle_toml.Draft) -> st
 
 
 def _sides(name: str) -> set[str]:
-    words = words_of(name)
-    return {side for side, pattern in SIDES.items() if any(map(pattern.fullmatch, words))}
+    words = evidence.words_of(name)
+    return {side for side, pattern in evidence.SIDES.items() if any(map(pattern.fullmatch, words))}
 
 
-def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Choice:
+def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> evidence.Choice:
     """Return the axis of the root link that probably points forward.
 
     The reason is empty if the evidence agrees with the convention; the choice is open without
@@ -627,7 +611,7 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Choice:
         joint
         for joint in filter(tree.is_last, tree.turning)
         if tree.links[joint.child].shapes or tree.links[joint.child].meshes
-        if not CASTER.search(joint.names)
+        if not evidence.CASTER.search(joint.names)
     ]
     radii = [tree.radius_of(joint) for joint in turning]
     bottoms = [tree.frames[j.child][1][2] - r for j, r in zip(turning, radii, strict=True)]
@@ -636,12 +620,12 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Choice:
     excluded = {*excluded, *caster_wheels(tree, rolling)}
     wheels = [joint for joint in rolling if joint.name not in excluded]
     line = _along(tree, wheels)
-    called = [j for j in tree.joints.values() if WHEEL.search(j.names)]
+    called = [j for j in tree.joints.values() if evidence.WHEEL.search(j.names)]
     named = {ahead: _named_vector(tree, wheels, called, ahead) for ahead in ENDS}
     misplaced = _misplaced(tree, wheels, line, np.sum([v for v, _ in named.values()], axis=0))
     view = np.zeros(2)
     for link, (rotation, _) in tree.frames.items():
-        if CAMERA.search(link) and not _sides(link) & {"rear", "left", "right"}:
+        if evidence.CAMERA.search(link) and not _sides(link) & {"rear", "left", "right"}:
             view += rotation[:2, 2 if "optical" in link.lower() else 0]
     vectors = {"steered": _to_steered(tree, wheels), "view": view}
     if "x" not in line:
@@ -658,16 +642,16 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Choice:
             facts[fact] = ahead
         else:
             facts[fact.replace(" of wheels", " on axles")] = size > SMALL and " of " in fact
-    pieces = [*evidence("forward", facts)]
-    best, reason, rival, is_open, _ = weigh(pieces, line[0])
+    pieces = [*evidence.evidence("forward", facts)]
+    best, reason, rival, is_open, _ = evidence.weigh(pieces, line[0])
     if "x" not in line and not any(piece.weight for piece in pieces):
         words = "the axles point along x, and no name distinguishes front from rear"
-        return Choice(best, reason or words, OPPOSITE[best], True)
-    if best == AXLES:
+        return evidence.Choice(best, reason or words, OPPOSITE[best], True)
+    if best == evidence.AXLES:
         best, rival, is_open = line[0], "", True
     is_noted = best != "x" or any(piece.choice != "x" for piece in pieces)
     other = rival if rival in OPPOSITE else OPPOSITE[best]
-    return Choice(best, reason if is_noted else "", other, is_open)
+    return evidence.Choice(best, reason if is_noted else "", other, is_open)
 
 
 def _along(tree: Tree, wheels: Sequence[UrdfJoint]) -> tuple[str, ...]:

@@ -221,6 +221,17 @@ class Wheels:
             bare += [joint.name] * bool(OMNI.search(joint.names) and role.rollers is None)
             thin += [joint.name] * (is_flat and role.tube is None and not self._roles.tube)
         note, known = self._findings.note, {*self._roles.joints, *self.gears}
+        on_wheels = {
+            below.name for wheel in self.joints for below in [wheel, *self.tree.below(wheel.child)]
+        }
+        unused = [
+            joint.name
+            for joint in self.tree.joints.values()
+            if WHEEL.search(joint.names)
+            and joint.name not in known | on_wheels
+            and self.tree.is_last(joint)
+            and on_wheels.isdisjoint(below.name for below in self.tree.below(joint.child))
+        ]
         note("centre of mass moved from the inertial's origin to the wheel's centre", off)
         note(
             "without rollers, in spite of their names",
@@ -229,7 +240,7 @@ class Wheels:
         )
         note(
             "no wheels in spite of their names",
-            unused_wheel_names(self.tree, self.joints, known),
+            unused,
             partial(toml_line, "wheels", radius=max(radii, default=0.1)),
         )
         note(
@@ -916,21 +927,6 @@ def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
     if any(abs(axle @ axles[0]) < PARALLEL for axle in axles):
         for wheel in rest:
             yield wheel.name, wheel_evidence(WheelRole(rollers=np.pi / 2), "oblique")
-
-
-def unused_wheel_names(
-    tree: Tree, wheels: Sequence[UrdfJoint], known: Collection[str]
-) -> list[str]:
-    """Return the names of last joints with "wheel" in a name that belong to no wheel."""
-    on_wheels = {below.name for wheel in wheels for below in [wheel, *tree.below(wheel.child)]}
-    return [
-        joint.name
-        for joint in tree.joints.values()
-        if WHEEL.search(joint.names)
-        and joint.name not in {*known, *on_wheels}
-        and tree.is_last(joint)
-        and on_wheels.isdisjoint(below.name for below in tree.below(joint.child))
-    ]
 
 
 def usual_radius(tree: Tree, joints: Sequence[UrdfJoint]) -> float:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 
@@ -57,13 +57,6 @@ def package_folders(package: str, folder: Path) -> Iterator[Path]:
             yield Path(root) / inside / package
 
 
-class Expansion(NamedTuple):
-    """Result of an expansion: the URDF, and the names of all macros in the files."""
-
-    data: bytes
-    macros: frozenset[str]
-
-
 def trusted_paths(files: Iterable[str | os.PathLike[str]]) -> frozenset[str]:
     """Return the resolved paths of xacro files that the user trusts; they must be regular files."""
     for file in files:
@@ -86,8 +79,10 @@ def ways(file: str) -> str:
     )
 
 
-def expanded(path: Path, arguments: Mapping[str, str]) -> Expansion:
-    """Return the URDF that a xacro file describes; the caller checks that the user trusts it.
+def expanded(path: Path, arguments: Mapping[str, str]) -> tuple[bytes, frozenset[str]]:
+    """Return the URDF that a xacro file describes, and the names of all macros in the files.
+
+    The caller checks that the user trusts it.
 
     The expansion may take 6 s, 2 GB of memory, and 20 MB for the URDF; its output is discarded.
     """
@@ -105,7 +100,7 @@ def expanded(path: Path, arguments: Mapping[str, str]) -> Expansion:
         ) from error
 
 
-def _expand(path: Path, arguments: Mapping[str, str]) -> Expansion:
+def _expand(path: Path, arguments: Mapping[str, str]) -> tuple[bytes, frozenset[str]]:
     """Expand a xacro file in this process; parameters and errors are those of `expanded`."""
     import xacro
 
@@ -162,7 +157,7 @@ def _expand(path: Path, arguments: Mapping[str, str]) -> Expansion:
             f"{path}: expected xacro that expands to at most {MAX_BYTES / 1e6:g} MB, found "
             f"{len(data) / 1e6:.3g} MB; correct macros that multiply"
         )
-    return Expansion(data, frozenset(macros))
+    return data, frozenset(macros)
 
 
 class _Values:

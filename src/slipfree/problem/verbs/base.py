@@ -6,6 +6,7 @@ interface and `slipfree.problem.load`; everything specific to a verb is in the m
 
 from __future__ import annotations
 
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.quantities import QUANTITIES, extremes, joint_angles
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import SolverError, Stop, Trajectory, outcome_words, path_length
-from slipfree.files.netcdf import MAP_TRANSFORM, NOTHING, encode_map_coordinates
+from slipfree.files.netcdf import MAP_TRANSFORM, NOTHING
 from slipfree.laws.soil import Soil
 from slipfree.models.base import is_determinate
 from slipfree.models.friction_feasibility import BEST, best_utilisation
@@ -400,7 +401,7 @@ class DriveVerb(Verb, ABC):
         coordinates = setup.ground.coordinates
         return {
             "inputs": " ".join(setup.dae.input_names),
-            **({MAP_TRANSFORM: encode_map_coordinates(coordinates)} if coordinates else {}),
+            **({MAP_TRANSFORM: json.dumps(coordinates)} if coordinates else {}),
         }
 
 

@@ -119,19 +119,16 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
 
 def _actuators(vehicle: Vehicle, robot: Robot | None) -> dict[str, _Actuator]:
     """Return the inputs by the names of coordinates and of joints that they move linearly."""
-    names = [c.name for c in vehicle.coordinates]
-    wheels = [wheel.name for wheel in vehicle.wheels]
-    q = ca.SX.sym("q", len(names) + len(wheels))
-    values = dict(zip(names, ca.vertsplit(q)[: len(names)], strict=True))
-    angles = dict(zip(wheels, ca.vertsplit(q)[len(names) :], strict=True))
+    wheels, (q, joints) = [w.name for w in vehicle.wheels], joint_values(vehicle, robot)
+    names = [*(c.name for c in vehicle.coordinates), *wheels]
     commanded = [c.name for c in vehicle.of("commanded")]
     driven = {*commanded, *(w.name for w in vehicle.wheels if w.driven)}
     actuators = {n: _Actuator(f"{n}_rate", 1.0, 0.0, is_wheel=False) for n in commanded}
-    for joint, value in joint_values(vehicle, robot, values, angles).items():
+    for joint, value in joints.items():
         slopes = ca.jacobian(value, q)
         if slopes.nnz() != 1 or ca.symvar(slopes):
             continue
-        name = [*names, *wheels][slopes.sparsity().get_triplet()[1][0]]
+        name = names[slopes.sparsity().get_triplet()[1][0]]
         if name in driven:
             slope, offset = ca.sum2(ca.DM(slopes)), ca.Function("value", [q], [value])(0)
             own = f"{name}_rate", float(slope), float(offset), name in wheels

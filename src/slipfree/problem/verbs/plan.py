@@ -333,7 +333,7 @@ class PlanVerb(base.DriveVerb):
         if spec.plan.robust is not None and plan.accurate:
             # kept in case the search for a robust plan is interrupted
             keep(replace(plan, replay=replace(plan.replay, stop=plan_search.UNTESTED)))
-            tested = plan_search.make_robust(setup, plan, spec.plan.robust, progress, watch)
+            tested = plan_search.make_robust(setup, plan, progress, watch)
         elif spec.plan.guarantee is not None and plan.accurate:
             tested = plan_search.make_guaranteed(setup, plan, spec.plan.guarantee, progress)
         plan = tested.plan

@@ -321,19 +321,14 @@ def solve_tightened(
     return replace(solved, stages=(*before.stages, *solved.stages))
 
 
-def make_robust(
-    setup: Planning,
-    first: Plan,
-    robust: Robust,
-    progress: PlanProgress,
-    watch: Watch,
-) -> Tested:
+def make_robust(setup: Planning, first: Plan, progress: PlanProgress, watch: Watch) -> Tested:
     """Tighten the limits of a plan until it holds in the required share of drawn worlds.
 
     After Ctrl-C, the last accurate plan is returned, with an interruption as its stop. The line of
     ``watch`` is called several times per second.
     """
     source, latest = recipe_of(setup.problem, run=next(RUNS)), first
+    robust = setup.spec.plan.robust or Robust()
 
     def solve(tightening: Tightening, before: Plan) -> Plan:
         nonlocal latest

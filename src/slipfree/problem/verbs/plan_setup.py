@@ -400,37 +400,6 @@ def way_points_of(problem: Problem[PlanKeys]) -> dict[float, Ranges]:
     return dict(sorted(between.items()))
 
 
-def guide_paths(
-    problem: Problem[PlanKeys],
-    driver: GuideTable,
-    layers: Traversability,
-    places: tuple[Place, ...],
-    radius: float,
-) -> tuple[Array, ...]:
-    """Return the paths of the initial guesses: given paths, or routes over the ground."""
-    with at(problem, ("driver",)):
-        if driver.name == "straight":
-            build.check_without_path(driver)
-            return ()
-        if driver.name == "reeds-shepp":
-            _check_cusps(problem, driver, places)
-            return ()
-        if driver.name == "follow":
-            if driver.paths is None:
-                return (build.path_points(problem, driver),)
-            if driver.path is not None or driver.file is not None:
-                raise ModelError(
-                    "driver: expected one of 'path', 'paths' and 'file', found several of them; "
-                    "keep one"
-                )
-            return tuple(np.array(path) for path in driver.paths)
-    _check_goal_place(problem, places)
-    with at(problem, ("driver",)):
-        count = max(driver.count, problem.spec.plan.starts if len(places) == 2 else 1)
-        ends = np.array([place[1:] for place in places])
-        return guess.ground_routes(layers, ends, turning_radius=radius, count=count)
-
-
 def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
     if places[-1][0] != "goal":
         goal = problem.spec.goal
@@ -621,7 +590,26 @@ def _guesses(
     else:
         radius = driver.turning_radius
         radius = turning_radius(trip.vehicle) if radius is None else radius
-        paths = guide_paths(problem, driver, layers, places, radius)
+        paths: tuple[Array, ...] = ()  # given ones, or routes over the ground
+        with at(problem, ("driver",)):
+            if driver.name == "straight":
+                build.check_without_path(driver)
+            elif driver.name == "reeds-shepp":
+                _check_cusps(problem, driver, places)
+            elif driver.name == "follow" and driver.paths is None:
+                paths = (build.path_points(problem, driver),)
+            elif driver.name == "follow":
+                if driver.path is not None or driver.file is not None:
+                    raise ModelError(
+                        "driver: expected one of 'path', 'paths' and 'file', found several of "
+                        "them; keep one"
+                    )
+                paths = tuple(np.array(path) for path in driver.paths or ())
+            else:
+                _check_goal_place(problem, places)
+                count = max(driver.count, spec.plan.starts if len(places) == 2 else 1)
+                ends = np.array([place[1:] for place in places])
+                paths = guess.ground_routes(layers, ends, turning_radius=radius, count=count)
         guide = guess.Guide(driver.name, driver.speed, radius, paths)
     if spec.plan.window is not None:
         with at(problem, ("plan", "window")):

@@ -22,18 +22,15 @@ from slipfree.core.trajectory import SolverError, Trajectory, path_length
 from slipfree.files.netcdf import read, read_arrays, write
 from slipfree.plan import tracking
 from slipfree.plan.mpc import horizon
-from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.plan.sampling import SamplingTask
 from slipfree.problem.build import World, build_model, build_start, build_world, solver_options
 from slipfree.problem.inputs import ProblemParts, file_states, input_files
-from slipfree.problem.problem import Problem
 from slipfree.problem.result import open_result, problem_of, result_of
 from slipfree.problem.verbs.base import VERB_ATTRIBUTE, Result, drive_facts
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed, start_values
 from slipfree.problem.verbs.plan_search import find_plan, scaled_friction
 from slipfree.problem.verbs.plan_setup import build_planning
-from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.system.parts import PartsWatch, study, until_interrupt
 from slipfree.terrain.bicubic import Bicubic
@@ -151,11 +148,50 @@ def follow_plan(
     plan = find_plan(setup, [], saved, lambda *_: True)
     window = duration / WINDOWS_PER_PLAN if window is None else window
     period = window / CYCLES_PER_WINDOW if period is None else period
-    options = _world_options(real)
+    options = solver_options(real)
+    if real.spec.model != "kinematics":
+        options = replace(options, tolerance=max(options.tolerance, FRICTION_TOLERANCE))
     frame, dae = horizon(plan, span=window), plan.program.task.dae
     speed = path_length(plan.replay) / plan.motion.duration
-    # all ways of a seed follow each other: the world of a seed is built once
-    world_of = lru_cache(1)(partial(_disturbed_world, real, plan, speed, disturb))
+
+    @lru_cache(1)  # all ways of a seed follow each other
+    def world_of(seed: int) -> tuple[tracking.TrackingWorld, World]:
+        """Return the world of the changed problem with disturbances, and its ground and vehicle."""
+        built, rng = build_world(real), np.random.default_rng(seed)
+        sign, wheels = rng.choice([-1.0, 1.0]), built.vehicle.wheels
+        radii = 1 + disturb.get("radii", 0.0) * rng.standard_normal(len(wheels))
+        factors = 1 + disturb.get("inputs", 0.0) * rng.standard_normal(len(list(leaves(dae.u))))
+        grid, mu = built.ground.grid, built.ground.mu
+        if disturb.get("heights"):
+            grid = disturbed(grid, disturb["heights"], CORRELATION * dae.size, seed)
+        if disturb.get("friction"):
+            if mu is None:
+                raise ModelError(
+                    "disturb: friction: expected a ground with a coefficient of friction, found "
+                    "none; give it by --set terrain.friction=0.8, and --set model=quasi-static, "
+                    "whose motion depends on friction"
+                )
+            mu = scaled_friction(mu, 1 + sign * disturb["friction"])
+        terrain = Bicubic(grid, built.terrain.center, mu)
+        pairs = zip(wheels, radii.tolist(), strict=True)
+        own = tuple(replace(wheel, section=_scaled(wheel.section, k)) for wheel, k in pairs)
+        model = build_model(real, replace(built.vehicle, wheels=own), terrain, built.prisms)
+        u = list(leaves(model.u))
+        if "inputs" in disturb:
+            changed = [each * factor for each, factor in zip(u, factors, strict=True)]
+            model = substitute(model, u, changed)
+        start = build_start(real, model)
+        if real.spec.model == "dynamics":
+            values = start_values(real.spec, start) | {SPEED: initial_speed(plan.replay)}
+            start = settle(model, options=options, **values)
+        try:
+            # the robot computes its rates with the vehicle of the plan, not with its real radii
+            driven = commanded(replace(model, vehicle=dae.vehicle), speed=speed)
+        except ModelError:  # the controllers report it
+            driven = None
+        world = tracking.TrackingWorld(model, driven, start, disturb.get("latency", 0.0))
+        ground = built.ground._replace(grid=grid, mu=mu)
+        return world, replace(built, ground=ground, terrain=terrain)
 
     def follow(way: tuple[str, int]) -> Followed:
         name, seed = way
@@ -223,64 +259,6 @@ def _check_names(by: Sequence[str], disturb: Mapping[str, float]) -> None:
                 f"disturb: {name}: expected a relative change below {most:g}, found "
                 f"{disturb[name]:g}; reduce it"
             )
-
-
-def _world_options(problem: Problem[Any]) -> SolverOptions:
-    options = solver_options(problem)
-    if problem.spec.model == "kinematics":
-        return options
-    return replace(options, tolerance=max(options.tolerance, FRICTION_TOLERANCE))
-
-
-def _disturbed_world(
-    problem: Problem[Any],
-    plan: Plan,
-    speed: float,
-    sizes: Mapping[str, float],
-    seed: int,
-) -> tuple[tracking.TrackingWorld, World]:
-    """Return the world of a changed problem with disturbances, and its ground with the vehicle.
-
-    The mean ``speed`` is that of the plan.
-    """
-    built, rng = build_world(problem), np.random.default_rng(seed)
-    dae = plan.program.task.dae
-    sign = rng.choice([-1.0, 1.0])
-    radii = 1 + sizes.get("radii", 0.0) * rng.standard_normal(len(built.vehicle.wheels))
-    factors = 1 + sizes.get("inputs", 0.0) * rng.standard_normal(len(list(leaves(dae.u))))
-    grid, mu = built.ground.grid, built.ground.mu
-    if sizes.get("heights"):
-        grid = disturbed(grid, sizes["heights"], CORRELATION * dae.size, seed)
-    if sizes.get("friction"):
-        if mu is None:
-            raise ModelError(
-                "disturb: friction: expected a ground with a coefficient of friction, found none; "
-                "give it by --set terrain.friction=0.8, and --set model=quasi-static, whose motion "
-                "depends on friction"
-            )
-        mu = scaled_friction(mu, 1 + sign * sizes["friction"])
-    terrain = Bicubic(grid, built.terrain.center, mu)
-    wheels = [
-        replace(wheel, section=_scaled(wheel.section, factor))
-        for wheel, factor in zip(built.vehicle.wheels, radii.tolist(), strict=True)
-    ]
-    own = replace(built.vehicle, wheels=tuple(wheels))
-    real = build_model(problem, own, terrain, built.prisms)
-    u = list(leaves(real.u))
-    if "inputs" in sizes:
-        real = substitute(real, u, [each * factor for each, factor in zip(u, factors, strict=True)])
-    start = build_start(problem, real)
-    if problem.spec.model == "dynamics":
-        values = start_values(problem.spec, start) | {SPEED: initial_speed(plan.replay)}
-        start = settle(real, options=_world_options(problem), **values)
-    try:
-        # the robot computes its wheel rates with the vehicle of the plan, not with its real radii
-        driven = commanded(replace(real, vehicle=dae.vehicle), speed=speed)
-    except ModelError:  # the controllers report it
-        driven = None
-    world = tracking.TrackingWorld(real, driven, start, sizes.get("latency", 0.0))
-    ground = built.ground._replace(grid=grid, mu=mu)
-    return world, replace(built, ground=ground, terrain=terrain)
 
 
 def _scaled(section: Section, factor: float) -> Section:
