@@ -149,11 +149,14 @@ def test_limits_have_names_and_of_a_range_what_lies_on_the_map_counts():
 @pytest.mark.slow
 def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch):
     monkeypatch.setattr(searching, "MAX_REFINEMENTS", 1)
+    told = "slipfree.problem.verbs.plan.separation_words"
+    monkeypatch.setattr(told, lambda *_, by_friction: f"no route leads: {by_friction}")
     settings = [*QUICK, "plan.degree=1", "plan.intervals=1", "plan.accuracy=1e-7", "costs.slip="]
     stop = run_problem(load_problem(HILLS, settings)).trajectory.stop
     assert (stop.name, stop.outcome) == ("plan_accuracy", Outcome.INACCURATE)
     misses = "no usable plan: its simulation misses x by .* m, .*; plan.accuracy allows 1e-07: "
     assert re.match(f"{misses}refinements of its mesh did not suffice", stop.words)
+    assert stop.words.endswith("\non the mobility map no route leads: False")
 
 
 @pytest.mark.slow

@@ -121,17 +121,11 @@ def test_refinement_ends_if_the_error_remains(coarse, monkeypatch, errors, count
         return Verification(coarse.replay, {"x": error}, {}, {"x": "m"}, worse, accurate=not error)
 
     def halved(mesh, _worse):
-        return mesh._replace(
-            ends=np.interp(
-                np.arange(2 * mesh.ends.size - 1) / 2, np.arange(mesh.ends.size), mesh.ends
-            )
-        )
-
-    def solved(search, _task, mesh, *_):
-        return search._replace(program=replace(search.program, mesh=mesh))
+        return refine_mesh(mesh, np.ones(mesh.ends.size - 1, dtype=bool))
 
     monkeypatch.setattr(searching, "refine_mesh", halved)
-    monkeypatch.setattr(searching, "_solve_anew", solved)
+    monkeypatch.setattr(searching, "transcribe", lambda _, mesh, __: replace(program, mesh=mesh))
+    monkeypatch.setattr(searching, "_solve_anew", lambda old, new, *_: old._replace(program=new))
     monkeypatch.setattr(searching, "_add_limits", lambda found, _progress: found)
     _, verification = searching._refine(search, verify, None)
     assert (len(verified), verification.difference["x"]) == (count, min(verified))
@@ -160,11 +154,18 @@ def test_what_is_violated_between_the_points_is_told_and_made_small(model):
     assert not obstacle_words(finer.program.task, finer.replay, 1e-3)
 
 
+AGAIN = [f"from a motion without costs, {each} slip cost" for each in ("without", "with")]
+
+
 @pytest.mark.slow
-def test_a_search_that_gets_stuck_starts_again_from_a_motion_without_costs(
-    model, coarse, monkeypatch
+@pytest.mark.parametrize(
+    ("status", "later"),
+    [("Restoration_Failed", AGAIN), ("Maximum_Iterations_Exceeded", ["with slip cost"])],
+)
+def test_a_search_that_gets_stuck_starts_again_from_a_motion_that_meets_all_constraints(
+    model, coarse, monkeypatch, status, later
 ):
-    left = iter([{"status": "Restoration_Failed", "success": False}])
+    left = iter([{"status": status, "success": False}])
     solve = searching.solve_program
 
     def stuck(*args, **options):
@@ -172,9 +173,18 @@ def test_a_search_that_gets_stuck_starts_again_from_a_motion_without_costs(
 
     monkeypatch.setattr(searching, "solve_program", stuck)
     plan = asked(model)
-    again = [f"from a motion without costs, {each} slip cost" for each in ("without", "with")]
-    assert [stage.words for stage in plan.stages] == ["without slip cost", *again]
-    assert (plan.stages[0].status, plan.run.stop) == ("Restoration_Failed", None)
+    assert [stage.words for stage in plan.stages] == ["without slip cost", *later]
+    assert (plan.stages[0].status, plan.run.stop) == (status, None)
+    assert plan.solution.cost == pytest.approx(coarse.solution.cost, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_plan_with_many_intervals_is_found_on_meshes_with_fewer(model, coarse, monkeypatch):
+    monkeypatch.setattr(searching, "MOST_AT_ONCE", 4)
+    plan = asked(model)
+    words = ["without slip cost", "with slip cost", "8 intervals"]
+    assert [stage.words for stage in plan.stages] == words
+    assert_array_equal(plan.program.mesh.ends, coarse.program.mesh.ends)
     assert plan.solution.cost == pytest.approx(coarse.solution.cost, rel=1e-6)
 
 
@@ -235,8 +245,7 @@ def test_a_stopped_refinement_leaves_the_plan_before_it(model, coarse):
         mesh=sf.Mesh(8, accuracy=max(coarse.difference.values()) / 10),
         search=sf.Search(progress=lambda words, _: "intervals" not in words),
     )
-    assert found.success
-    assert not found.accurate
+    assert (found.success, found.accurate) == (True, False)
     assert_allclose(found.run["x"], coarse.run["x"], atol=1e-9)
     assert found.stages[-1].status == "User_Requested_Stop"
 
@@ -256,18 +265,14 @@ def test_a_plan_goes_on_from_a_place_on_its_way(coarse):
 
 def test_the_plan_of_another_vehicle_is_refused(coarse):
     dae = sf.direct_kinematics(three_wheeler(), sf.Analytic(hills))
+    other = dae, sf.settle(dae)
     with pytest.raises(sf.ModelError, match="expected a saved plan with the states, unknowns"):
-        asked(
-            (dae, sf.settle(dae)),
-            guess((dae, sf.settle(dae))),
-            search=sf.Search(resume=coarse.saved),
-        )
+        asked(other, guess(other), search=sf.Search(resume=coarse.saved))
 
 
 @pytest.mark.slow
 def test_an_accuracy_that_is_not_reached_and_a_goal_that_is_missed_are_told(model, monkeypatch):
     monkeypatch.setattr(searching, "MAX_REFINEMENTS", 1)
     found = asked(model, mesh=sf.Mesh(2, degree=1, accuracy=1e-9), costs={"effort": 1.0})
-    assert found.success
-    assert not found.accurate
+    assert (found.success, found.accurate) == (True, False)
     assert found.violation["y at the goal"] == pytest.approx(abs(found.replay["y"][-1] - 1.3))

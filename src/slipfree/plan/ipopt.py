@@ -21,6 +21,7 @@ INFEASIBLE_STATUS = "Infeasible_Problem_Detected"
 SOLVED_STATUS = "Solve_Succeeded"
 STOPPED_STATUS = "User_Requested_Stop"  # status after the callback returned False
 TIME_STATUS = "Maximum_WallTime_Exceeded"
+ITERATIONS_STATUS = "Maximum_Iterations_Exceeded"
 ENDED_STATUSES = (STOPPED_STATUS, TIME_STATUS)  # no further program is solved after them
 MAX_FUTILE_ITERATIONS = 150  # without halving the violation; up to 97 in successful searches
 RISING_SPAN = 10  # iterations after which a larger violation counts as rising
@@ -30,13 +31,20 @@ MAX_VIOLATION_GROWTH = 10.0  # searches stall more often with larger values
 IPOPT_TOLERANCE = 1e-8
 WARM_BARRIER = 1e-5  # initial barrier parameter of a start near a solution
 WARM_MONOTONE_BARRIER = 1e-3  # the same with the monotone strategy, for models with a replay
-NEXT_BARRIER = 1e-4  # the same for a start from the solution of the program with other weights
+NEXT_BARRIER = 1e-4  # the same for a start from the solution of a similar program
+MONOTONE_BARRIER = 0.01  # initial barrier parameter of the monotone strategy in cold starts
 WARM_PUSH = 1e-9  # smallest distance of scaled unknowns from their bounds in a warm start
 WARM_OPTIONS: dict[str, Any] = {
     "warm_start_init_point": "yes",
     **{f"warm_start_{name}_push": WARM_PUSH for name in ("bound", "slack_bound", "mult_bound")},
     "warm_start_bound_frac": WARM_PUSH,
     "warm_start_slack_bound_frac": WARM_PUSH,
+}
+ROUGH_OPTIONS: dict[str, Any] = {  # for solutions from which only another search starts
+    "max_iter": 200,
+    "tol": 1e-3,
+    "mu_target": NEXT_BARRIER,  # distance of limits from which the next search starts
+    "constr_viol_tol": VIOLATION_TOLERANCE,
 }
 QUASI_DENSE_ORDERING = 6  # of MUMPS: for a few dense rows, such as that of a free duration
 QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "record_time": True}
@@ -152,9 +160,12 @@ def solve_program(
     *,
     warm: NlpSolution | None = None,
     iterations: int = MAX_ITERATIONS,
+    rough: bool = False,
     on_iterate: IterateCallback | None = None,
 ) -> NlpSolution:
     """Return the solution of a nonlinear program, warm-started by the multipliers of ``warm``.
+
+    The cost of a ``rough`` solution is only near the least one.
 
     If IPOPT fails, return the iterate with the smallest constraint violation; if it reports an
     infeasible problem, its last iterate. The search ends at the deadline of the task, or after
@@ -171,13 +182,15 @@ def solve_program(
     }
     if warm is not None:
         arguments |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
-    ipopt = ({} if warm is None else WARM_OPTIONS) | {
+    ipopt = {
+        **({} if warm is None else WARM_OPTIONS),
         "max_iter": iterations,
         "max_wall_time": min(seconds_left(program.task.deadline), 1e20),  # IPOPT's default
+        **(ROUGH_OPTIONS if rough else {}),
     }
     if warm is not None and program.task.dae.replay:  # see "mu_strategy" in `_ipopt_solver`
         ipopt["mu_init"] = WARM_MONOTONE_BARRIER
-    elif warm is not None and warm.iterations:  # solved with other weights, not only a guess
+    elif warm is not None and warm.iterations:  # a solution, not only a guess
         ipopt |= {"mu_strategy": "monotone", "mu_init": NEXT_BARRIER}
     with InterruptGuard() as guard:
         watch = _IterateWatcher(program, on_iterate or (lambda _: True), guard)
@@ -211,6 +224,7 @@ def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, An
     own: dict[str, Any] = {
         # Contact forces as unknowns require the monotone strategy (docs/decisions.md).
         "mu_strategy": "monotone" if program.task.dae.replay else "adaptive",
+        "mu_init": MONOTONE_BARRIER,
         "honor_original_bounds": "yes",
         "mumps_pivot_order": QUASI_DENSE_ORDERING,
         "theta_max_fact": MAX_VIOLATION_GROWTH,

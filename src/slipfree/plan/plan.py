@@ -56,7 +56,7 @@ from slipfree.plan.search import (
     solve_resumed,
 )
 from slipfree.plan.stage import Cost
-from slipfree.plan.transcription import CollocationMesh, Mesh, PlanTask, Program, transcribe
+from slipfree.plan.transcription import CollocationMesh, Mesh, PlanTask, Program
 from slipfree.plan.verification import Verification, inputs_along, verify_plan
 from slipfree.solve.options import SolverOptions
 from slipfree.system.forks import cached_property, computing
@@ -361,7 +361,7 @@ def solve_task(
         named = [(f"guess {number}", each) for number, each in enumerate(motions, 1)]
         missing = max(search.starts - len(motions), 0)
         named += further_guesses(model, start, motions[0], task.inputs, missing, search.seed)
-        searches = solve_guesses(transcribe(task, first, options), named, search.progress)
+        searches = solve_guesses(task, first, options, named, search.progress)
     else:
         searches = [solve_resumed(task, first, former, options, search.progress)]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from operator import attrgetter
 from typing import Annotated, NamedTuple
 
@@ -21,6 +20,7 @@ from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.explanation import Relaxation, relax
 from slipfree.plan.ipopt import (
     ENDED_STATUSES,
+    ITERATIONS_STATUS,
     TIME_STATUS,
     Iterate,
     NlpSolution,
@@ -55,6 +55,7 @@ SAME_PATH = 1e-3  # largest distance of paths that count as one optimum [m]
 VERIFIED, INACCURATE, SOLVED, NOT_SOLVED = "verified", "inaccurate", "solved", "not solved"
 RANKS = (VERIFIED, SOLVED, INACCURATE, NOT_SOLVED)
 SLIP_COSTS = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
+MOST_AT_ONCE = 80  # largest number of intervals of a program that is solved from a mere guess
 MAX_LIMIT_ROUNDS = 4  # largest number of times that violated limits are added
 MAX_REFINEMENTS = 6  # largest number of refinements of the mesh
 FUTILE_GROWTH = 4.0  # ratio of intervals after which an unchanged error has another cause
@@ -231,17 +232,40 @@ class SearchState(NamedTuple):
 
 
 def solve_guesses(
-    program: Program, guesses: Sequence[tuple[str, Trajectory]], progress: PlanProgress | None
+    task: PlanTask,
+    mesh: CollocationMesh,
+    options: SolverOptions,
+    guesses: Sequence[tuple[str, Trajectory]],
+    progress: PlanProgress | None,
 ) -> list[SearchState]:
-    """Solve the program from each guess, and return the solutions, best first."""
+    """Solve the program of a task from each guess, and return the solutions, best first.
+
+    With more than `MOST_AT_ONCE` intervals, each guess is first solved roughly on meshes of half
+    and, if need be, of a quarter and fewer of them; a failure there is the result.
+    """
+    programs = [transcribe(task, mesh, options)]
+    while mesh.ends.size - 1 > max(MOST_AT_ONCE, 4 * len(task.conditions)):
+        kept = np.arange(mesh.ends.size) % 2 == 0
+        kept[[np.abs(mesh.ends - each.fraction).argmin() for each in task.conditions]] = True
+        mesh = mesh._replace(ends=mesh.ends[kept])
+        programs.insert(0, transcribe(task, mesh, options))
     searches: list[SearchState] = []
     for number, (name, guess) in enumerate(guesses, 1):
         of = f"guess {number} of {len(guesses)}, " if len(guesses) > 1 else ""
-        search = _solve_in_stages(program, guess_unknowns(program, guess), of, progress)
+        program, *finer = programs
+        first = guess_unknowns(program, guess)
+        search = _solve_in_stages(program, first, of, progress, rough=bool(finer))
+        for program in finer:
+            if search.found.success and search.found.status != TIME_STATUS:
+                words, rough = (
+                    f"{of}{program.mesh.ends.size - 1} intervals",
+                    program is not finer[-1],
+                )
+                search = _solve_anew(search, program, words, progress, rough=rough, near=True)
         searches.append(search._replace(name=name, number=number))
         if search.found.status in ENDED_STATUSES:
             break
-    return sorted(searches, key=partial(_rank, program))
+    return sorted(searches, key=_rank)
 
 
 def solve_relaxed(
@@ -315,23 +339,26 @@ def _local_optimum(search: SearchState, accurate: bool | None) -> LocalOptimum:
     )
 
 
-def _rank(program: Program, search: SearchState) -> tuple[bool, float]:
+def _rank(search: SearchState) -> tuple[bool, float]:
     """Return the sort key of a search: solved programs by cost, then others by violation."""
     solution = search.found
-    size = solution.cost if solution.success else largest_violation(program, solution.rows)
+    size = solution.cost if solution.success else largest_violation(search.program, solution.rows)
     return not solution.success, size
 
 
 def _solve_in_stages(
-    program: Program, first: Array, of: str, progress: PlanProgress | None
+    program: Program, first: Array, of: str, progress: PlanProgress | None, *, rough: bool = False
 ) -> SearchState:
-    """Solve the program; if slip is a cost, start from the solution without this cost."""
+    """Solve the program; if slip is a cost, start from a rough solution without this cost."""
     slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
-    words = f"{of}without slip cost" if slips else f"{of}all costs"
-    search = _solve_stage(program, first, words, 0.0 if slips else 1.0, progress)
+    words, part = (f"{of}without slip cost", 0.0) if slips else (f"{of}all costs", 1.0)
+    search = _solve_stage(program, first, words, part, progress, rough=rough or slips)
     best = search.found
-    if slips and best.success:
-        more = _solve_stage(program, best.unknowns, f"{of}with slip cost", 1.0, progress, best)
+    # a motion that meets all constraints is enough to start from
+    is_met = largest_violation(program, best.rows) <= VIOLATION_TOLERANCE
+    if slips and (best.success or (is_met and best.status == ITERATIONS_STATUS)):
+        words = f"{of}with slip cost"
+        more = _solve_stage(program, best.unknowns, words, 1.0, progress, best, rough=rough)
         stages, status = search.stages + more.stages, more.found.status
         worst = largest_violation(program, more.found.rows)
         if not more.found.success and worst > VIOLATION_TOLERANCE:
@@ -375,11 +402,12 @@ def _solve_stage(
     part: float,
     progress: PlanProgress | None,
     warm: NlpSolution | None = None,
+    *,
+    rough: bool = False,
 ) -> SearchState:
     on_iterate = None if progress is None else lambda iterate: progress(words, iterate)
-    solution = solve_program(
-        program, cost_weights(program, part), first, warm=warm, on_iterate=on_iterate
-    )
+    weights = cost_weights(program, part)
+    solution = solve_program(program, weights, first, warm=warm, rough=rough, on_iterate=on_iterate)
     names = ("iterations", "status", "seconds", "cost")
     stage = SolvedStage(words, *(getattr(solution, name) for name in names))
     return SearchState(program, solution, first, (stage,))
@@ -406,21 +434,24 @@ def _add_limits(search: SearchState, progress: PlanProgress | None) -> SearchSta
             return search._replace(run=run)
         words = f"with {', '.join(limit.label.full for limit in missed)}"
         fuller = replace(program.task, limits=(*program.task.limits, *missed))
-        search = _solve_anew(search, fuller, program.mesh, words, progress)
+        fuller_program = transcribe(fuller, program.mesh, program.options)
+        search = _solve_anew(search, fuller_program, words, progress)
     return search
 
 
 def _solve_anew(
     search: SearchState,
-    task: PlanTask,
-    mesh: CollocationMesh,
+    program: Program,
     words: str,
     progress: PlanProgress | None,
+    *,
+    rough: bool = False,
+    near: bool = False,
 ) -> SearchState:
-    former = motion_of(search.program, search.found.unknowns)
-    program = transcribe(task, mesh, search.program.options)
-    first = transfer_motion(former, program)
-    more = _solve_stage(program, first, words, 1.0, progress, _warm_guess(program, first))
+    """Solve another program from a solution, which is ``near`` if only the mesh is much finer."""
+    first = transfer_motion(motion_of(search.program, search.found.unknowns), program)
+    warm = _warm_guess(program, first)._replace(iterations=int(near))
+    more = _solve_stage(program, first, words, 1.0, progress, warm, rough=rough)
     return more._replace(stages=search.stages + more.stages, name=search.name, number=search.number)
 
 
@@ -471,9 +502,8 @@ def _refine(
             break
         mesh = refine_mesh(search.program.mesh, verification.worse)
         words = f"{mesh.ends.size - 1} intervals"
-        finer = _add_limits(
-            _solve_anew(search, search.program.task, mesh, words, progress), progress
-        )
+        program = transcribe(search.program.task, mesh, search.program.options)
+        finer = _add_limits(_solve_anew(search, program, words, progress), progress)
         if not finer.found.success:
             return search._replace(stages=finer.stages), verification
         search, verification = finer, verify(finer)

@@ -450,9 +450,18 @@ def _inaccurate(setup: plan_setup.Planning, plan: Plan | LongPlan) -> trajectory
         f"no usable plan: its simulation misses {worst}; plan.accuracy allows "
         f"{spec.plan.accuracy:g}: {why}"
         + (f"; it exceeds the limit of {obstacle}" if obstacle else "")
+        + _separation_words(setup)
     )
     outcome = Outcome.INTERRUPTED if last.status == STOPPED_STATUS else Outcome.INACCURATE
     return trajectory.Stop(trajectory.PLAN_ACCURACY, float(plan.replay.t[-1]), words, outcome)
+
+
+def _separation_words(setup: plan_setup.Planning) -> str:
+    """Return a line about where the mobility map separates places of a plan; empty if nowhere."""
+    slow = setup.spec.model == "quasi-static" or not FORCE_LIMITS.isdisjoint(setup.spec.limits)
+    places = [place[1:] for place in setup.places]
+    obstacle = separation_words(setup.layers, places, by_friction=slow)
+    return f"\non the mobility map {obstacle}" if obstacle else ""
 
 
 def _iterate_reporter(
@@ -647,10 +656,7 @@ def with_offer(
     failed = Outcome.INFEASIBLE, Outcome.SOLVER_FAILURE
     if stop is None or stop.outcome not in (*failed, Outcome.TIME_LIMIT):
         return stop
-    words, bounds = [stop.words], spec.limits.get("drive_torque")
-    places = [place[1:] for place in setup.places]
-    if obstacle := separation_words(setup.layers, places, by_friction=slow):
-        words.append(f"on the mobility map {obstacle}")
+    words, bounds = [stop.words + _separation_words(setup)], spec.limits.get("drive_torque")
     if not slow or stop.outcome is Outcome.TIME_LIMIT:
         return stop._replace(words="\n".join(words))
     if bounds is not None and guesses and "drive_torque" in guesses[0]:
