@@ -553,10 +553,10 @@ def test_held_inputs_are_checked():
     with pytest.raises(ModelError, match="evenly spaced"):
         simulate_sampled(dae, start, dae.inputs(reference_speed=0.2, **zeros), t**2)
     laws = zeros | {HELD[0]: dae.u[0].wheels[0]}
-    with pytest.raises(ModelError, match="contains an input given by an expression"):
+    with pytest.raises(ModelError, match="found one that contains inputs"):
         simulate_sampled(dae, start, dae.inputs(reference_speed=0.2, **laws), t)
     laws = zeros | {HELD[0]: ca.SX.sym("stranger")}
-    with pytest.raises(ModelError, match="the unknown symbol stranger"):
+    with pytest.raises(ModelError, match="symbols of the model, found stranger"):
         simulate_sampled(dae, start, dae.inputs(reference_speed=0.2, **laws), t)
 
 

@@ -521,14 +521,6 @@ def test_given_rates_are_checked(given, words):
     refuses(ModelError, words, inverse_kinematics, VEHICLES["ackermann"], FLAT, given=given)
 
 
-@pytest.mark.slow
-def test_sought_names_are_checked():
-    _, dae, start = poised_exactly(VEHICLES["ackermann"], FLAT, {"forward": 0.1})
-    for states, least in ((["steering"], []), (["steer"], ["slip"])):
-        with pytest.raises(ModelError, match=r"(states|least): expected one of .*, found 's"):
-            trim_states(dae, start, dae.inputs(forward=0.1), states=states, least=least)
-
-
 CAR = ("vehicle.steered=", "vehicle.catalog=ackermann", "time.step=0.1")
 SHORT = ("time.duration=0.5", "vehicle.mass=0", "vehicle.wheel_mass=0")
 

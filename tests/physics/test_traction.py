@@ -485,22 +485,6 @@ def test_jammed_vehicle_has_bounded_forces():
     assert best.utilisation < 1e-3
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"friction": np.ones(3)}, r"at least one each, found \(1, 7, 9\), \(1, 7\), \(3,\); "),
-        ({"matrix": np.ones((7, 9))}, r"at least one each, found \(7, 9\), "),
-        ({"load": np.ones((1, 6))}, r"at least one each, found .*, \(1, 6\), "),
-        ({"friction": np.array([[1.0, 0.0, 1.0]])}, "friction: expected .*, found 0.0; remove"),
-        ({"load": np.full((1, 7), np.nan)}, "load: expected finite numbers, .* found nan"),
-    ],
-)
-def test_wrong_arrays_are_refused(changes, message):
-    matrix, load = three_wheeler_distribution(0.0)
-    given = {"matrix": matrix[None], "load": load[None], "friction": np.ones((1, 3))}
-    refuses(sf.ModelError, message, least_utilisation, **(given | changes))
-
-
 @pytest.mark.parametrize("rounds", [0, 3])
 def test_a_sample_that_does_not_converge_is_nan(monkeypatch, rounds):
     monkeypatch.setattr(force_distribution, "MAX_NEWTON_STEPS", rounds)

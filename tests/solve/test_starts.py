@@ -8,10 +8,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 import slipfree as sf
 from helpers.cases import LIGHT, case1, closure_model, hills
 from helpers.commands import refuses
-from slipfree.catalog import open_source_rover, three_wheeler
+from slipfree.catalog import three_wheeler
 from slipfree.core.rearrange import blocks, rearrange, substitute, variables, with_outputs
 from slipfree.core.records import Label
-from slipfree.solve.settle import settle_contact, settle_exchanged
+from slipfree.solve.settle import settle_contact
 
 HILLS = sf.Analytic(hills)
 
@@ -28,39 +28,6 @@ def test_start_from_one_contact(rng):
             found = settle_contact(dae, wheel, **place, **joints)
             for name in ("x", "y", "z", "heading", "roll", "pitch"):
                 assert_allclose(found[name][0], stood[name][0], rtol=0, atol=1e-12, err_msg=name)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("vehicle", "terrain", "exchange"),
-    [
-        (three_wheeler(), HILLS, {}),
-        (three_wheeler(), HILLS, {"heading": "pitch"}),
-        (open_source_rover(), case1()[0], {"x": "z"}),
-    ],
-    ids=["nothing", "pitch for heading", "z for x on a map"],
-)
-def test_any_unknown_of_the_pose_takes_the_place_of_a_state(vehicle, terrain, exchange):
-    dae, pose = closure_model(vehicle, terrain), {"x": 0.4, "y": 0.2, "heading": 0.3}
-    stood = sf.settle(dae, **pose)
-    given = {exchange.get(name, name): float(stood[exchange.get(name, name)][0]) for name in pose}
-    found = settle_exchanged(dae, exchange, **given)
-    for name in ("x", "y", "z", "heading", "roll", "pitch"):
-        assert found[name][0] == pytest.approx(stood[name][0], abs=1e-10)
-    for name, value in given.items():
-        assert found[name][0] == pytest.approx(value, abs=1e-14 if name in pose else 1e-12)
-    assert max(found["closure_residual"]) < 1e-13
-
-
-def test_exchanges_are_checked():
-    dae = closure_model(three_wheeler(), HILLS)
-    for exchange, words in (
-        ({"azimuth": "pitch"}, "expected one of x, y, heading, .*, found 'azimuth'"),
-        ({"x": "slip_along[left]"}, "expected one of z, .*, found 'slip_along.left.'"),
-        ({"x": "z", "y": "z"}, "expected a different unknown in place of each state, found z, z"),
-        ({"x": "pitch"}, "expected an unknown in m in place of x, found pitch in rad"),
-    ):
-        refuses(sf.ModelError, words, settle_exchanged, dae, exchange)
 
 
 def test_starts_from_a_contact_are_checked():

@@ -18,7 +18,7 @@ from slipfree.core.records import Array, Label, Record, leaves, unpack
 from slipfree.core.schema import Finite, Positive
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose
-from slipfree.geometry.path import Path
+from slipfree.geometry.path import Path, spline_function
 from slipfree.models.given_rates import COMMANDS, PLANAR
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -553,10 +553,5 @@ def _splines(t: Array, values: Array, time: ca.SX) -> tuple[ca.SX, ca.SX]:
     from scipy.interpolate import make_interp_spline  # imported here: the import takes 0.2 s
 
     spline, inside = make_interp_spline(t, values, k=DEGREE), ca.fmin(ca.fmax(time, t[0]), t[-1])
-    splines = []
-    for name, each in (("path", spline), ("path_velocity", spline.derivative())):
-        at, count = ca.MX.sym("t"), each.t.size - each.k - 1  # further coefficients are padding
-        weights = each.c[:count].ravel().tolist()
-        value = ca.Function.bspline(name, [each.t.tolist()], weights, [each.k], values.shape[1])
-        splines.append(ca.Function(f"{name}_at", [at], [value(at)], {"never_inline": True})(inside))
-    return splines[0], splines[1]
+    place = spline_function("path", spline)(inside)
+    return place, spline_function("path_velocity", spline.derivative())(inside)

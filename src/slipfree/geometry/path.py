@@ -150,3 +150,14 @@ class Path:
         table = ca.interpolant("path", "bspline", [s.tolist()], rows.ravel(order="F"))
         at = ca.MX.sym("s")
         return ca.Function("path", [at], [table(at)], {"never_inline": True})
+
+
+def spline_function(name: str, spline: Any) -> ca.Function:
+    """Return a SciPy B-spline with vector values as a function of its argument.
+
+    It is not inlined, since SX graphs cannot contain it.
+    """
+    at, count = ca.MX.sym("t"), spline.t.size - spline.k - 1  # further coefficients are padding
+    weights = spline.c[:count].ravel().tolist()
+    value = ca.Function.bspline(name, [spline.t.tolist()], weights, [spline.k], spline.c.shape[1])
+    return ca.Function(f"{name}_at", [at], [value(at)], {"never_inline": True})

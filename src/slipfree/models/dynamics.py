@@ -116,7 +116,7 @@ MAX_POINTS = 200  # each adds a lookup of the ground
 
 
 class BodyContact(NamedTuple):
-    """Contact of a point of a body: arm from the platform's origin [m], and elastic energy [J]."""
+    """Contact of a point of a body: arm from the part's origin [m], and elastic energy [J]."""
 
     part: str
     touch: BodyTouch
@@ -126,7 +126,7 @@ class BodyContact(NamedTuple):
 
     @property
     def load(self) -> Load:
-        """Force of the ground on the part, and its moment about the platform's origin."""
+        """Force of the ground on the part, and its moment about the part's origin."""
         force = self.force.normal * self.touch.normal + self.force.tangential
         return Load(self.part, force, ca.cross(self.arm, force))
 
@@ -169,7 +169,8 @@ def body_contacts(
         touch = BodyTouch(gap, normal, slip, friction, weight, vehicle.gravity)
         force = law.body_force(touch)
         energy = force.elastic / steepness * ca.fmax(-gap, 0) / 2
-        contacts.append(BodyContact(part, touch, place - body.origin, force, energy))
+        arm = place - body.parts[part].pose.origin
+        contacts.append(BodyContact(part, touch, arm, force, energy))
     return tuple(contacts)
 
 
@@ -468,7 +469,10 @@ def quantities(moving: MovingVehicle, contacts: Sequence[Contact]) -> Quantities
     )
     frames = tuple(each.touch.frame for each in contacts)
     along, across = tangential_components(frames, [each.force.tangential for each in contacts])
-    height = sum(each.mass * each.motion.pose.origin[2] for each in body.bodies)
+    height = sum(
+        each.mass * body.parts[part].pose.origin[2] + each.first[2]
+        for part, each in body.bodies.items()
+    )
     loaded = [
         (c, value, rate)
         for c, value, rate in zip(vehicle.coordinates, x.joints, x.joint_speeds, strict=True)
@@ -632,17 +636,18 @@ def planar_start(
     for each, (at, *_) in zip(body.wheels, contacts, strict=True):
         frame, pull = at.touch.frame, share if each.wheel.driven or holds_all else 0
         force = at.force.normal * (frame.normal + pull * frame.along)
-        loads.append(Load(each.wheel.parent, force, ca.cross(frame.point - body.origin, force)))
+        arm = frame.point - body.parts[each.wheel.parent].pose.origin
+        loads.append(Load(each.wheel.parent, force, ca.cross(arm, force)))
     forces = generalised_forces(body, loads) - bias_forces(body)
     for k, c in enumerate(vehicle.coordinates):
         if c.is_loaded:
-            forces[6 + k] -= ca.gradient(c.potential(x.joints[k]), x.joints[k])
+            forces[3 + k] -= ca.gradient(c.potential(x.joints[k]), x.joints[k])
     free = [k for k, c in enumerate(vehicle.coordinates) if c.kind == "suspension"]
     held = [k for k in range(len(vehicle.coordinates)) if k not in free]
     speeds = ca.vertcat(*leaves(x[5:]))  # with the integrals
     least_gaps = (ca.mmin(ca.vertcat(np.inf, *(at.touch.gap for at in c[1:]))) for c in contacts)
     rows, gaps = ca.substitute(
-        [forces[[1, 2, 3, *(6 + k for k in free)]] / vehicle.weight, ca.vertcat(*least_gaps)],
+        [forces[[0, 1, 2, *(3 + k for k in free)]] / vehicle.weight, ca.vertcat(*least_gaps)],
         [speeds],
         [ca.SX.zeros(speeds.shape)],
     )
@@ -736,7 +741,6 @@ def standing_start(
     return Standing(model, guess, speed, states)
 
 
-SPACE, PLANE = range(6), (1, 2, 3)  # free speeds of the platform: velocity, angular velocity
 MIN_INERTIA = 1e-15  # smaller generalised masses count as zero [kg, kg m^2]
 LAG = 1e-3  # time constant of prescribed rates [s]
 NORMALISATION = 1.0  # rate at which the norm of the quaternion returns to one [1/s]
@@ -890,8 +894,9 @@ def check_dynamic(vehicle: Vehicle) -> None:
 def check_inertia(vehicle: Vehicle, labels: Labels, x: DynamicState, matrix: ca.SX) -> None:
     """Raise ModelError for a coordinate without inertia, with all coordinates at zero."""
     still = [float(label.name == "attitude_w") for label in leaves(labels.x)]
-    values = np.diag(np.array(ca.Function("mass", [pack(x)], [matrix])(still)))[6:]
-    for c, value in zip(vehicle.coordinates, values, strict=True):
+    values = np.diag(np.array(ca.Function("mass", [pack(x)], [matrix])(still)))
+    own = values[values.size - len(vehicle.coordinates) :]
+    for c, value in zip(vehicle.coordinates, own, strict=True):
         if not (c.acting_drive.prescribed or value > MIN_INERTIA):
             raise ModelError(
                 f"dynamics: coordinate {c.name!r}: expected a part or a wheel with mass that it "
@@ -989,7 +994,7 @@ def equations_of_motion(
         if wheel.prescribed:
             acceleration = (wanted - wheel.speed) / LAG
             about = wheel.axial * acceleration
-        arm = ca.cross(center - body.origin, force)
+        arm = ca.cross(center - body.parts[wheel.wheel.parent].pose.origin, force)
         loads.append(Load(wheel.wheel.parent, force, arm + moment + about * wheel.axle))
         on_wheels.append((resisting, torque, acceleration))
     loads += [each.load for each in contacts.bodies]
@@ -1012,8 +1017,7 @@ def equations_of_motion(
         change = ca.vertcat(-ca.dot(omega, vector), scalar * omega + ca.cross(omega, vector)) / 2
         attitude = change + NORMALISATION * (1 - ca.sumsqr(quaternion)) * quaternion
     speeds = *x.velocity, attitude, *x.joint_speeds
-    free = accelerations[[*(PLANE if vehicle.planar else SPACE), *range(6, accelerations.numel())]]
-    ode = ca.vertcat(*speeds, free, *spins, *integral_rates, *joint_integrals)
+    ode = ca.vertcat(*speeds, accelerations, *spins, *integral_rates, *joint_integrals)
     return ode, Effort(tuple(torques), actuators)
 
 
@@ -1026,24 +1030,26 @@ def _accelerations(
     Springs, dampers and efforts of drives act on the coordinates whose rates are not prescribed.
     """
     vehicle, x = moving.vehicle, moving.x
-    found, efforts = ca.SX.zeros(matrix.shape[0]), ca.SX.zeros(matrix.shape[0])
+    count = matrix.shape[0]
+    found, efforts, first = ca.SX.zeros(count), ca.SX.zeros(count), count - len(x.joints)
     inputs, integrals, integral_rates = iter(moving.u.joints), iter(x.joint_drives), list[ca.SX]()
-    fixed, free = list[int](), [*(PLANE if vehicle.planar else SPACE)]
-    for k, c in enumerate(vehicle.coordinates):
-        value, rate, drive = x.joints[k], x.joint_speeds[k], c.acting_drive
-        (fixed if drive.prescribed else free).append(6 + k)
+    fixed, free = list[int](), [*range(first)]
+    columns = vehicle.coordinates, x.joints, x.joint_speeds
+    for k, (c, value, rate) in enumerate(zip(*columns, strict=True), first):
+        drive = c.acting_drive
+        (fixed if drive.prescribed else free).append(k)
         wanted = next(inputs) if c.kind == "commanded" else ca.SX(0)
         if drive.prescribed:
-            found[6 + k] = (wanted - rate) / LAG
+            found[k] = (wanted - rate) / LAG
         integral = next(integrals) if drive.has_integral else ca.SX(0)
-        efforts[6 + k], integral_rate = drive.effort(wanted, rate, integral)
+        efforts[k], integral_rate = drive.effort(wanted, rate, integral)
         if drive.has_integral:
             integral_rates.append(integral_rate)
         if c.is_loaded:
-            forces[6 + k] -= ca.gradient(c.potential(value), value) + c.damping * rate
+            forces[k] -= ca.gradient(c.potential(value), value) + c.damping * rate
     right = forces[free] + efforts[free] - matrix[free, fixed] @ found[fixed]
     found[free] = ca.ldl_solve(right, *ca.ldl(matrix[free, free]))
     efforts[fixed] = matrix[fixed, :] @ found - forces[fixed]
-    pairs = zip(vehicle.coordinates, ca.vertsplit(efforts)[6:], strict=True)
+    pairs = zip(vehicle.coordinates, ca.vertsplit(efforts)[first:], strict=True)
     actuators = tuple(effort for c, effort in pairs if c.kind == "commanded")
     return found, actuators, tuple(integral_rates)

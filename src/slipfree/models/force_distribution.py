@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
 
 Index = npt.NDArray[np.intp]
@@ -43,20 +43,24 @@ class Best(NamedTuple):
 class _Contacts(NamedTuple):
     """Contact forces of n samples on m wheels as affine functions of k internal forces ``y``.
 
-    Forces at ``y = 0`` (n, m) [weight] and their derivatives (n, m, k) [1]. The normal forces are
-    multiplied by the coefficients of friction, so that ``hypot(along, across) <= s normal`` is
-    Coulomb's law at utilisation ``s``.
+    Forces (along, across, normal) at ``y = 0`` (n, 3, m) [weight] and their derivatives
+    (n, 3, m, k) [1]. The normal forces are multiplied by the coefficients of friction, so that
+    ``hypot(along, across) <= s normal`` is Coulomb's law at utilisation ``s``.
     """
 
-    along: Array
-    across: Array
-    normal: Array
-    along_slope: Array
-    across_slope: Array
-    normal_slope: Array
+    values: Array
+    slopes: Array
 
     def pick(self, index: Index | Mask) -> _Contacts:
-        return _Contacts(*(item[index] for item in self))
+        return _Contacts(self.values[index], self.slopes[index])
+
+    def at(self, y: Array) -> Array:
+        """Return the three components for internal forces (..., n, k), shape (3, ..., n, m)."""
+        n, _, m = self.values.shape
+        trials = y.reshape(prod(y.shape[:-2]), n, y.shape[-1]).transpose(1, 2, 0)
+        moved = self.slopes.reshape(n, 3 * m, y.shape[-1]) @ trials
+        forces = self.values + moved.transpose(2, 0, 1).reshape(*y.shape[:-1], 3, m)
+        return np.moveaxis(forces, -2, 0)
 
 
 class _Goal(NamedTuple):
@@ -106,28 +110,23 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
 
     ``matrix`` (n, w, 3 m) has columns (along, across, normal) for every wheel, and any rank;
     ``load`` (n, w) is in units of the vehicle's weight, and ``friction`` (n, m) positive. Normal
-    forces of the result are at least -1e-9 weights. ModelError is raised if shapes do not match,
-    numbers are not finite, or a friction coefficient is not positive.
+    forces of the result are at least -1e-9 weights.
     """
-    _check(matrix, load, friction)
     particular, free, solvable = _solutions(matrix, load)
     n, m = friction.shape
-    values, slopes = particular.reshape(n, m, 3), free.reshape(n, m, 3, -1)
-    contacts = _Contacts(
-        values[..., 0],
-        values[..., 1],
-        friction * (values[..., 2] + NORMAL_FORCE_ROUNDING),
-        slopes[..., 0, :],
-        slopes[..., 1, :],
-        friction[..., None] * slopes[..., 2, :],
-    )
+    size = np.stack([np.ones((n, m)), np.ones((n, m)), friction], 1)
+    values = particular.reshape(n, m, 3).swapaxes(1, 2)
+    slopes = free.reshape(n, m, 3, -1).swapaxes(1, 2)
+    rounding = np.array([[0.0], [0.0], [NORMAL_FORCE_ROUNDING]])
+    contacts = _Contacts(size * (values + rounding), size[..., None] * slopes)
     y = np.zeros((len(free), free.shape[2]))
-    poor = np.flatnonzero(solvable & (_normal(contacts, y).min(1) < PHASE_ONE_FORCE))
+    least = contacts.at(y)[2].min(1)
+    poor = np.flatnonzero(solvable & (least < PHASE_ONE_FORCE))
     # positive normal forces to start from, where these exist
-    flat = {name: 0 * getattr(contacts, name) for name in contacts._fields if "normal" not in name}
-    upright, level = contacts._replace(**flat).pick(poor), 1.0 - _normal(contacts, y).min(1)[poor]
-    y[poor] = _follow_center(upright, y[poor], level, PHASE_ONE_GOAL)
-    held = np.flatnonzero(solvable & (_normal(contacts, y).min(1) > 0))
+    normal = np.array([[0.0], [0.0], [1.0]])
+    upright = _Contacts(contacts.values * normal, contacts.slopes * normal[..., None]).pick(poor)
+    y[poor] = _follow_center(upright, y[poor], 1.0 - least[poor], PHASE_ONE_GOAL)
+    held = np.flatnonzero(solvable & (contacts.at(y)[2].min(1) > 0))
     y[held] = _follow_center(
         contacts.pick(held),
         y[held],
@@ -141,26 +140,6 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
     force = particular + _apply(free, y)
     force[~np.isfinite(utilisation)] = np.nan
     return Best(utilisation, force)
-
-
-def _check(matrix: Array, load: Array, friction: Array) -> None:
-    """Raise ModelError if shapes or values of the arrays do not fit together."""
-    n, m = friction.shape if friction.ndim == 2 else (0, 0)
-    w = matrix.shape[1] if matrix.ndim == 3 else 0
-    found = matrix.shape, load.shape, friction.shape
-    if 0 in (n, w, m) or found != ((n, w, 3 * m), (n, w), (n, m)):
-        raise ModelError(
-            "expected matrix, load and friction of the shapes (n, w, 3 m), (n, w) and (n, m) for n "
-            "samples, w equations of equilibrium and m wheels, at least one each, found "
-            f"{', '.join(map(str, found))}; reshape them"
-        )
-    for name, values in (("matrix", matrix), ("load", load), ("friction", friction)):
-        good = np.isfinite(values) & ((values > 0) | (name != "friction"))
-        if not good.all():
-            raise ModelError(
-                f"{name}: expected finite numbers, positive ones for friction, found "
-                f"{values[~good][0]}; remove such samples from all arrays, or give a small friction"
-            )
 
 
 def _solutions(matrix: Array, load: Array) -> tuple[Array, Array, Mask]:
@@ -219,18 +198,17 @@ def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton
     the rows R (n, 3 m, k): a wheel with almost no load has slopes 1e9 times those of the others,
     whose squares would vanish in the sum.
     """
-    along = contacts.along + _apply(contacts.along_slope, y)
-    across = contacts.across + _apply(contacts.across_slope, y)
-    normal = _normal(contacts, y)
+    along, across, normal = contacts.at(y)
+    along_slope, across_slope, normal_slope = contacts.slopes.swapaxes(0, 1)
     factor = goal.fixed + goal.factor * level[:, None]
     radius = factor * normal + goal.shift * level[:, None]
-    slope = factor[..., None] * contacts.normal_slope
+    slope = factor[..., None] * normal_slope
     size = np.hypot(along, across)
     some = size > 0
     e_along = np.divide(along, size, out=np.ones_like(size), where=some)[..., None]
     e_across = np.divide(across, size, out=np.zeros_like(size), where=some)[..., None]
-    outward = e_along * contacts.along_slope + e_across * contacts.across_slope
-    sideways = e_along * contacts.across_slope - e_across * contacts.along_slope
+    outward = e_along * along_slope + e_across * across_slope
+    sideways = e_along * across_slope - e_across * along_slope
     k, m = y.shape[1], size.shape[1]
     with np.errstate(divide="ignore", invalid="ignore"):  # where rounding has left the cone: NaN
         inverse = 1 / np.concatenate([radius - size, radius + size], 1)  # 1 / a and 1 / b
@@ -239,7 +217,7 @@ def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton
     rows = np.concatenate([radial, bend[..., None] * sideways], 1)
     # derivatives of the friction discs' radii and of their slopes with respect to the level
     radius_rate = goal.factor * normal + goal.shift
-    normal_rate = goal.factor * contacts.normal_slope
+    normal_rate = goal.factor * normal_slope
     room = MAX_INTERNAL_FORCE**2 - (y * y).sum(1)
     edge = 2 * y / room[:, None]
     ball = np.sqrt(2 / room)[:, None, None] * np.eye(k)
@@ -297,13 +275,7 @@ def _barrier(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
     The k internal forces ``y`` of a trial have shape (j, n, k), its utilisation ``level`` (j, n).
     The cone of a contact is ``|tangential| <= (fixed + factor level) normal + shift level``.
     """
-
-    def at(value: Array, slope: Array) -> Array:
-        return value + np.swapaxes(slope @ y.transpose(1, 2, 0), 1, 2).swapaxes(0, 1)
-
-    normal = at(contacts.normal, contacts.normal_slope)
-    along = at(contacts.along, contacts.along_slope)
-    across = at(contacts.across, contacts.across_slope)
+    along, across, normal = contacts.at(y)
     radius = (goal.fixed + goal.factor * level[..., None]) * normal + goal.shift * level[..., None]
     size = np.hypot(along, across)
     room = MAX_INTERNAL_FORCE**2 - (y * y).sum(-1, keepdims=True)
@@ -315,14 +287,8 @@ def _barrier(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
 
 
 def _utilisation(contacts: _Contacts, y: Array) -> Array:
-    along = contacts.along + _apply(contacts.along_slope, y)
-    across = contacts.across + _apply(contacts.across_slope, y)
-    return np.asarray((np.hypot(along, across) / _normal(contacts, y)).max(1))
-
-
-def _normal(contacts: _Contacts, y: Array) -> Array:
-    """Return friction times normal force, shape (n, m) [weight]."""
-    return contacts.normal + _apply(contacts.normal_slope, y)
+    along, across, normal = contacts.at(y)
+    return np.asarray((np.hypot(along, across) / normal).max(1))
 
 
 def _apply(matrices: Array, vectors: Array) -> Array:

@@ -28,7 +28,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Literal, NamedTuple
 
 import casadi as ca
@@ -43,8 +42,6 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.laws.least_slip import LeastSlip, slip_unit
 from slipfree.laws.rolling import Rolling, rolling_counts
 from slipfree.models.base import extent
-from slipfree.models.kinematics import direct_kinematics
-from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Coordinate, Kind, Vehicle
 
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
@@ -426,7 +423,6 @@ MOVES = {
     "right": "move the platform sideways",
     "yaw_rate": "turn the platform",
 }
-MIN_RELATIVE_AUTHORITY = 1e-9  # smaller values: the wheels do not affect the given rate
 
 
 def angle_slopes(direct: Dae, rows: ca.SX) -> dict[str, ca.SX]:
@@ -649,32 +645,6 @@ def command_determinacy(direct: Dae, model: Dae, given: Sequence[str]) -> Determ
     remedy += " '{}' from the given rates, or set exact = false for the nearest motion"
     names = tuple(label.full for label in wheels)
     return Determinacy(LEAST_AUTHORITY, tuple(given), names, reasons, remedy, function)
-
-
-def conditions(
-    vehicle: Vehicle, terrain: Terrain, run: Trajectory, *, solve_for: str = "rates"
-) -> dict[tuple[str, ...], Array]:
-    """Return condition numbers of the inverse problem for each choice of three platform rates.
-
-    ``run`` is a motion of a vehicle that rolls without slip; with ``solve_for="angles"`` its speed
-    must not be zero. The condition numbers at its samples (n,), infinite where the choice is
-    singular, have the names of the three given rates as key (``velocity_x`` to ``omega_z``).
-    """
-    direct = direct_kinematics(vehicle, terrain, slip=Rolling())
-    slip, count = slip_columns(direct), run.t.size
-    choices = list(combinations((*VELOCITY, *OMEGA), 3))
-    matrices = [slip.matrix(given, solve_for)[0] for given in choices]
-    function = direct.function("matrices", list(direct.columns()), matrices)
-    rows = [
-        np.column_stack([direct.rows(record, run, k) for k in range(count)]) for record in "xzu"
-    ]
-    floor, found = np.finfo(float).tiny, dict[tuple[str, ...], Array]()
-    for given, part in zip(choices, function.map(count)(*rows), strict=True):
-        values = np.linalg.svd(samples_first(part, count), compute_uv=False)
-        largest, smallest = values[:, 0], values[:, -1]
-        regular = smallest > MIN_RELATIVE_AUTHORITY * largest
-        found[given] = np.where(regular, largest / np.fmax(smallest, floor), np.inf)
-    return found
 
 
 def check_authority(direct: Dae, stand: Trajectory, given: Sequence[str]) -> None:

@@ -46,13 +46,7 @@ import numpy as np
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.quantities import quantity_label
-from slipfree.core.rearrange import (
-    blocks,
-    rearrange,
-    substitute,
-    variables,
-    with_outputs,
-)
+from slipfree.core.rearrange import blocks, rearrange, substitute, variables, with_outputs
 from slipfree.core.records import Label, leaves, pack
 from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Column, Trajectory

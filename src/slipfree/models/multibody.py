@@ -1,10 +1,11 @@
 """Mechanics of a tree of rigid bodies: mass matrix and bias forces in symbolic form.
 
 Generalised speeds are the velocity of the platform's origin, the platform's angular velocity, both
-in fixed axes, and the rates of the vehicle's coordinates. The mass matrix follows from composite
-rigid bodies, the bias forces from a recursive Newton-Euler algorithm (Featherstone, Rigid Body
-Dynamics Algorithms, 2008, chapters 5 and 6). Vectors are in fixed axes; moments are about the
-platform's origin.
+in fixed axes, and the rates of the vehicle's coordinates; speeds that are zero in a plane are left
+out. The mass matrix is the second derivative of the kinetic energy with respect to these speeds.
+Generalised forces are those whose power is that of the loads, which reverse differentiation of the
+parts' velocities sums from the leaves to the root, as the recursive Newton-Euler algorithm does
+(Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 5). Vectors are in fixed axes.
 
 A wheel contributes its mass and its transverse inertia to the part that carries it. Its spin is a
 separate speed, since a body of revolution has the same inertia in every position.
@@ -61,11 +62,13 @@ class PartMotion(NamedTuple):
 
 
 class RigidBody(NamedTuple):
-    """A rigid body: part, mass [kg], motion of its centre of mass, inertia tensor [kg m^2]."""
+    """A part with its wheels, as one rigid body.
 
-    part: str
+    Mass [kg]; first moment of mass [kg m] and inertia tensor [kg m^2] about the part's origin.
+    """
+
     mass: float
-    motion: PartMotion
+    first: ca.SX
     inertia: ca.SX
 
 
@@ -103,11 +106,11 @@ class WheelMotion(NamedTuple):
     @property
     def spin(self) -> ca.SX:
         """Rate of the wheel relative to fixed axes, positive forward [rad/s]."""
-        return self.rate - self.turning
+        return self.speed - self.turning if self.prescribed else self.speed
 
 
 class Load(NamedTuple):
-    """Force on a part [N], and its moment about the platform's origin [N m], in fixed axes."""
+    """Force on a part [N], and its moment about the part's origin [N m], in fixed axes."""
 
     part: str
     force: ca.SX
@@ -117,28 +120,18 @@ class Load(NamedTuple):
 class Multibody(NamedTuple):
     """A vehicle as a system of rigid bodies, in the symbols of a model.
 
-    ``parts`` are the motions of the platform and of the parts of all joints, ``parents`` of joints
-    are in their order. ``screws`` are the angular velocity of each joint's part and the velocity of
-    its point at the platform's origin, for unit rate of the joint. ``gears`` (n_joints,
-    n_coordinates) are the derivatives of the joint values with respect to the coordinates,
-    ``rotors`` the inertias of their drives [kg m^2, kg]. ``bodies`` are parts with mass, and
-    wheels; ``gravity`` acts on them [m/s^2].
+    ``parts`` are the motions of the platform and of the parts of all joints. ``speeds`` are the
+    generalised speeds, ``rates`` those of the coordinates, ``rotors`` the inertias of their drives
+    [kg m^2, kg]. ``bodies`` are the parts as rigid bodies; ``gravity`` acts on them [m/s^2].
     """
 
     parts: dict[str, PartMotion]
-    parents: dict[str, str]
-    screws: dict[str, tuple[ca.SX, ca.SX]]
-    gears: ca.SX
+    speeds: ca.SX
     rates: ca.SX
     rotors: ca.DM
-    bodies: tuple[RigidBody, ...]
+    bodies: dict[str, RigidBody]
     wheels: tuple[WheelMotion, ...]
     gravity: float
-
-    @property
-    def origin(self) -> ca.SX:
-        """Origin of the platform, shape (3, 1) [m]."""
-        return self.parts["platform"].pose.origin
 
 
 def multibody(
@@ -158,50 +151,43 @@ def multibody(
     values = ca.vertcat(
         ca.SX(0, 1), *(evaluate(joint.value, coordinates) for joint in vehicle.joints)
     )
-    gears = ca.jacobian(values, column)
-    rates = gears @ speeds.rates
+    rates = ca.jtimes(values, column, speeds.rates)
     changes = ca.jtimes(rates, column, speeds.rates)  # second derivatives at constant rates
-    screws, parents = dict[str, tuple[ca.SX, ca.SX]](), dict[str, str]()
     for joint, rate, change in zip(vehicle.joints, _entries(rates), _entries(changes), strict=True):
         pose = poses[joint.name]
         axis, on = pose.rotation @ ca.DM(unit_vector(joint.axis)), parts[joint.parent].at(pose)
         if joint.motion == "turn":
-            motion = on._replace(
+            parts[joint.name] = on._replace(
                 omega=on.omega + axis * rate,
                 alpha=on.alpha + ca.cross(on.omega, axis) * rate + axis * change,
             )
-            screw = axis, ca.cross(pose.origin - platform.origin, axis)
         else:
-            motion = on._replace(
+            parts[joint.name] = on._replace(
                 velocity=on.velocity + axis * rate,
                 # Coriolis, and the second derivative of the formula of the joint
                 acceleration=on.acceleration + 2 * ca.cross(on.omega, axis) * rate + axis * change,
             )
-            screw = still, axis
-        parts[joint.name], screws[joint.name] = motion, screw
-        parents[joint.name] = joint.parent
-    bodies, wheels = list[RigidBody](), list[WheelMotion]()
+    bodies, wheels = dict[str, RigidBody](), list[WheelMotion]()
     for part, motion in parts.items():
-        body = body_of(vehicle, part)
-        if body.mass:
-            rotation = motion.pose.rotation
-            center = motion.pose.origin + rotation @ ca.DM(body.at)
-            tensor = rotation @ ca.sparsify(ca.DM(body_inertia(vehicle, part))) @ rotation.T
-            bodies.append(RigidBody(part, body.mass, motion.at(Pose(rotation, center)), tensor))
+        body, rotation, eye = body_of(vehicle, part), motion.pose.rotation, ca.SX.eye(3)
+        masses = [(body.mass, ca.SX(ca.DM(body.at)), ca.SX(ca.DM(body_inertia(vehicle, part))))]
+        for wheel in (each for each in vehicle.wheels if each.parent == part):
+            axial, across = wheel_inertia(wheel)
+            about = wheel.mount.rotation[:, 0] @ wheel.mount.rotation[:, 0].T
+            own = across * (eye - about) + axial * about * wheel.acting_drive.prescribed
+            masses.append((wheel.mass, wheel.mount.origin, own))
+        first = sum((mass * at for mass, at, _ in masses), ca.SX.zeros(3))
+        tensor = sum(own + mass * (ca.sumsqr(at) * eye - at @ at.T) for mass, at, own in masses)
+        turned = rotation @ ca.sparsify(tensor) @ rotation.T
+        bodies[part] = RigidBody(sum(mass for mass, *_ in masses), rotation @ first, turned)
     for wheel, speed in zip(vehicle.wheels, speeds.wheels, strict=True):
-        drive = wheel.acting_drive
-        motion = parts[wheel.parent].at(parts[wheel.parent].pose @ wheel.mount)
-        axial, across = wheel_inertia(wheel)
-        axle = motion.pose.rotation[:, 0]
-        about = axle @ axle.T
-        tensor = across * (ca.SX.eye(3) - about) + (axial * about if drive.prescribed else 0)
-        bodies.append(RigidBody(wheel.parent, wheel.mass, motion, tensor))
-        wheels.append(
-            WheelMotion(wheel, motion, axial, drive.added_inertia, speed, drive.prescribed)
-        )
+        drive, carrier = wheel.acting_drive, parts[wheel.parent]
+        moving = wheel, carrier.at(carrier.pose @ wheel.mount), wheel_inertia(wheel)[0]
+        wheels.append(WheelMotion(*moving, drive.added_inertia, speed, drive.prescribed))
     rotors = ca.DM([c.acting_drive.added_inertia for c in vehicle.coordinates])
-    moving, masses = (speeds.rates, rotors), (tuple(bodies), tuple(wheels))
-    return Multibody(parts, parents, screws, gears, *moving, *masses, vehicle.gravity)
+    every = ca.vertsplit(ca.vertcat(speeds.velocity, speeds.omega, speeds.rates))
+    free = ca.vertcat(*(each for each in every if each.is_symbolic()))
+    return Multibody(parts, free, speeds.rates, rotors, bodies, tuple(wheels), vehicle.gravity)
 
 
 def _entries(column: ca.SX) -> list[ca.SX]:
@@ -209,39 +195,30 @@ def _entries(column: ca.SX) -> list[ca.SX]:
 
 
 def generalised_forces(system: Multibody, loads: Iterable[Load]) -> ca.SX:
-    """Return the generalised forces of loads on the parts, shape (6 + n_coordinates, 1)."""
+    """Return the generalised forces of loads on the parts, a column as the generalised speeds."""
     sums = {part: (ca.SX.zeros(3), ca.SX.zeros(3)) for part in system.parts}
-
-    def add(part: str, force: ca.SX, moment: ca.SX) -> None:
+    for part, force, moment in loads:
         forces, moments = sums[part]
         sums[part] = forces + force, moments + moment
-
-    for load in loads:
-        add(*load)
-    efforts = list[ca.SX]()
-    for joint, parent in reversed(system.parents.items()):
-        force, moment = sums[joint]
-        turning, moving = system.screws[joint]
-        efforts.append(ca.dot(turning, moment) + ca.dot(moving, force))
-        add(parent, force, moment)
-    joints = ca.vertcat(ca.SX(0, 1), *reversed(efforts))
-    return ca.vertcat(*sums["platform"], system.gears.T @ joints)
+    twists = [vector for each in system.parts.values() for vector in (each.velocity, each.omega)]
+    wrenches = [vector for both in sums.values() for vector in both]
+    found = ca.jtimes(ca.vertcat(*twists), system.speeds, ca.vertcat(*wrenches), True)
+    return ca.densify(found)
 
 
 def bias_forces(system: Multibody) -> ca.SX:
     """Return the generalised inertial forces at constant speeds, minus the forces of gravity.
 
     The equations of motion are ``M u' + bias = Q``, with the generalised forces ``Q`` of drives,
-    springs and ground. The shape is (6 + n_coordinates, 1).
+    springs and ground.
     """
     loads = list[Load]()
-    for body in system.bodies:
-        motion = body.motion
-        force = body.mass * (motion.acceleration + system.gravity * UP)
-        moment = body.inertia @ motion.alpha
-        moment += ca.cross(motion.omega, body.inertia @ motion.omega)
-        arm = motion.pose.origin - system.origin
-        loads.append(Load(body.part, force, moment + ca.cross(arm, force)))
+    for part, (mass, first, inertia) in system.bodies.items():
+        _, _, omega, acceleration, alpha = system.parts[part]
+        lifted = acceleration + system.gravity * UP
+        force = mass * lifted + ca.cross(alpha, first) + ca.cross(omega, ca.cross(omega, first))
+        moment = ca.cross(first, lifted) + inertia @ alpha + ca.cross(omega, inertia @ omega)
+        loads.append(Load(part, force, moment))
     for wheel in system.wheels:
         # the wheel's angular momentum, -axial * speed * axle, turns with its carrier
         moment = -wheel.axial * wheel.speed * ca.cross(wheel.motion.omega, wheel.axle)
@@ -250,61 +227,23 @@ def bias_forces(system: Multibody) -> ca.SX:
 
 
 def mass_matrix(system: Multibody) -> ca.SX:
-    """Return the mass matrix, shape (6 + n_coordinates, 6 + n_coordinates).
-
-    The rows are those of velocity, angular velocity and coordinates.
-    """
-    eye = ca.SX.eye(3)
-    composites = {part: (ca.SX(0), ca.SX.zeros(3), ca.SX.zeros(3, 3)) for part in system.parts}
-
-    def add(part: str, mass: ca.SX, first: ca.SX, second: ca.SX) -> None:
-        masses, firsts, seconds = composites[part]
-        composites[part] = masses + mass, firsts + first, seconds + second
-
-    for body in system.bodies:
-        arm = body.motion.pose.origin - system.origin
-        about = body.inertia + body.mass * (ca.sumsqr(arm) * eye - arm @ arm.T)
-        add(body.part, ca.SX(body.mass), body.mass * arm, about)
-    joints = list(system.parents)
-    between, base = ca.SX(len(joints), len(joints)), ca.SX(6, len(joints))
-    for k in reversed(range(len(joints))):
-        mass, first, second = composites[joints[k]]
-        turning, moving = system.screws[joints[k]]
-        force = mass * moving + ca.cross(turning, first)
-        moment = second @ turning + ca.cross(first, moving)
-        part = joints[k]
-        while part != "platform":
-            i = joints.index(part)
-            turns, moves = system.screws[part]
-            between[i, k] = between[k, i] = ca.dot(turns, moment) + ca.dot(moves, force)
-            part = system.parents[part]
-        base[:, k] = ca.vertcat(force, moment)
-        add(system.parents[joints[k]], mass, first, second)
-    mass, first, second = composites["platform"]
-    arms = ca.skew(first)
-    platform = ca.blockcat([[mass * eye, -arms], [arms, second]])
-    across = base @ system.gears
-    inner = system.gears.T @ between @ system.gears + ca.diag(system.rotors)
-    return ca.sparsify(ca.blockcat([[platform, across], [across.T, inner]]))
+    """Return the mass matrix; its rows are in the order of the generalised speeds."""
+    return ca.sparsify(ca.hessian(kinetic_energy(system), system.speeds)[0])
 
 
 def angular_acceleration(system: Multibody, part: str, accelerations: ca.SX) -> ca.SX:
     """Return the angular acceleration of a part for rates of the generalised speeds, (3, 1)."""
-    total = system.parts[part].alpha + accelerations[3:6]
-    joints, rates = list(system.parents), system.gears @ accelerations[6:]
-    while part != "platform":
-        total += system.screws[part][0] * rates[joints.index(part)]
-        part = system.parents[part]
-    return total
+    motion = system.parts[part]
+    return motion.alpha + ca.jtimes(motion.omega, system.speeds, accelerations)
 
 
 def kinetic_energy(system: Multibody) -> ca.SX:
     """Return the kinetic energy [J]."""
     total = ca.dot(system.rotors, system.rates**2) / 2
-    for body in system.bodies:
-        motion = body.motion
-        total += body.mass / 2 * ca.sumsqr(motion.velocity)
-        total += ca.dot(motion.omega, body.inertia @ motion.omega) / 2
+    for part, (mass, first, inertia) in system.bodies.items():
+        _, velocity, omega, *_ = system.parts[part]
+        total += mass / 2 * ca.sumsqr(velocity) + ca.dot(velocity, ca.cross(omega, first))
+        total += ca.dot(omega, inertia @ omega) / 2
     for wheel in system.wheels:
         # the inertia of a body includes that of a prescribed wheel, as if it did not spin
         carried = wheel.turning**2 if wheel.prescribed else 0

@@ -46,13 +46,7 @@ from slipfree.core.records import Array, Label, leaves, symbols
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
-from slipfree.laws.protocols import (
-    Equations,
-    GroundForce,
-    GroundLaw,
-    SlidingContacts,
-    wheel_limits,
-)
+from slipfree.laws.protocols import Equations, GroundForce, GroundLaw, SlidingContacts, wheel_limits
 from slipfree.models.base import (
     ContactPoint,
     Inputs,

@@ -90,10 +90,8 @@ class Replays(NamedTuple):
     @property
     def interval(self) -> tuple[float, float]:
         """Clopper-Pearson confidence interval of the share, at the level `CONFIDENCE`."""
-        k, n, tail = self.held, self.draws, (1 - CONFIDENCE) / 2
-        low = float(scipy.special.betaincinv(k, n - k + 1, tail)) if k else 0.0
-        high = float(scipy.special.betaincinv(k + 1, n - k, 1 - tail)) if k < n else 1.0
-        return low, high
+        low, high = scipy.stats.binomtest(self.held, self.draws).proportion_ci(CONFIDENCE)
+        return float(low), float(high)
 
     @property
     def violated(self) -> dict[Bound, int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -15,12 +15,7 @@ from slipfree.core.records import Array, Mask, Record, leaves
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.plan.constraints import LIMIT, constraint, number, role_of, shift_of, subject
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
-from slipfree.plan.transcription import (
-    CollocationMesh,
-    Index,
-    PlanTask,
-    Program,
-)
+from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
 from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 from slipfree.solve.sampling import TURN, same_turn
 from slipfree.solve.simulate import simulate
@@ -278,21 +273,14 @@ def simulate_to_failure(
     inputs: Record,
     t: Array,
     options: SolverOptions,
-    *,
-    sampled_work: bool = False,
-    states_only: bool = False,
+    **how: Any,
 ) -> Trajectory:
-    """Simulate to the last time or to the first failure, which has samples before it."""
+    """Simulate to the last time or to the first failure, which has samples before it.
+
+    ``how`` are further options of `simulate`.
+    """
     try:
-        return simulate(
-            dae,
-            start,
-            inputs,
-            t,
-            options=options,
-            sampled_work=sampled_work,
-            states_only=states_only,
-        )
+        return simulate(dae, start, inputs, t, options=options, **how)
     except SolverError as error:
         if error.trajectory is None:
             raise

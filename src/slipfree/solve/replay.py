@@ -9,17 +9,12 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Record, leaves, unpack
 from slipfree.core.trajectory import Trajectory, joined
+from slipfree.geometry.path import spline_function
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.sampling import (
-    Samples,
-    correct_samples,
-    periodic_states,
-    same_turn,
-)
+from slipfree.solve.sampling import Samples, correct_samples, periodic_states, same_turn
 from slipfree.solve.settle import settle_at
 from slipfree.solve.simulate import consistent_start, simulate
 from slipfree.solve.system import with_inputs
@@ -58,23 +53,11 @@ def trim_states(
     inputs are constants or expressions. The name of an output of wheels in ``least`` includes all
     wheels.
 
-    ModelError is raised if a name is unknown, the equations have no solution at a tried state, or a
-    limit is violated.
+    ModelError is raised if the equations have no solution at a tried state, or a limit is violated.
     """
     from scipy.optimize import least_squares  # imported where it is used: it takes 0.2 s
 
     rows = [k for k, label in enumerate(leaves(dae.labels.y)) if label.name in least]
-    found = {label.name for label in leaves(dae.labels.y)}
-    for argument, names, known in (
-        ("states", states, dae.state_names),
-        ("least", least, sorted(found)),
-    ):
-        for name in names:
-            if name not in known:
-                raise ModelError(
-                    f"trim_states: {argument}: expected one of {', '.join(known)}, found {name!r}; "
-                    "correct the name"
-                )
     where = dae.state_rows(*states)
     system = with_inputs(dae, inputs, 0, options)
     together, unknowns = ca.vertcat(*(list(leaves(dae.y))[k] for k in rows)), dae.columns()[1]
@@ -205,16 +188,11 @@ def spline_inputs(
     """Return the inputs of a model as splines through samples.
 
     Inputs are constant before the first sample, and after the last or the time ``end``, up to which
-    the splines are extrapolated [s]. ModelError is raised if samples of an input are missing.
+    the splines are extrapolated [s].
     """
     from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
 
     names = [label.full for label in leaves(dae.labels.u)]
-    if missing := sorted(set(names) - set(values)):
-        raise ModelError(
-            "values: expected samples of all inputs of the model, found none of "
-            f"{', '.join(missing)}; add these samples"
-        )
     samples = np.column_stack([values[name] for name in names])
     degree = min(SPLINE_DEGREE, t.size - 1)
     if not degree:
@@ -225,10 +203,5 @@ def spline_inputs(
     if end is not None and end > t[-1]:
         t = np.append(t, end)
         spline = make_interp_spline(t, spline(t), k=degree)
-    at = ca.MX.sym("t")
-    value = ca.Function.bspline(
-        "law", [spline.t.tolist()], spline.c.ravel().tolist(), [degree], samples.shape[1]
-    )
-    law = ca.Function("law", [at], [value(at)], {"never_inline": True})
     inside = ca.fmin(ca.fmax(dae.t, t[0]), t[-1])
-    return unpack(dae.u, ca.vertsplit(law(inside)))
+    return unpack(dae.u, ca.vertsplit(spline_function("law", spline)(inside)))

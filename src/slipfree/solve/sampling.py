@@ -17,15 +17,14 @@ from slipfree.core.quantities import QUANTITIES, quantity_label
 from slipfree.core.records import Array, Label, Mask, leaves
 from slipfree.core.trajectory import Column, SolverError, Trajectory
 from slipfree.solve.initial_conditions import solve_initial_conditions
-from slipfree.solve.system import MAX_NEWTON_STEPS, Block, System
+from slipfree.solve.system import Block, System
 
 AXIS_NAMES = ("time", "wheel")  # dimensions of results, reserved names
 
-MAX_CORRECTIONS = 16  # Newton steps per sample
+MAX_CORRECTIONS = 25  # Newton steps per sample
 STRIDE = 16  # samples per singular value, which would take as long as all other results
 SOLVED_RESIDUAL = 1e-12  # residual, without unit, at which a sample needs no further step
 UNSOLVED_RESIDUAL = 1e-10  # residual of a sample above which it exceeds rounding
-ROUNDING_STEP = 1e-13  # step, in typical sizes, below which only rounding is left
 TIME_TOLERANCE = 1e-9  # relative difference of times that count as equal
 TURN = 2 * np.pi
 ROUNDING = 1e-7  # relative difference of expressions that counts as rounding
@@ -132,8 +131,7 @@ def _correct_block(block: Block, samples: Samples) -> tuple[Array, Array, Array]
         rough &= (size > SOLVED_RESIDUAL) & ~((size < UNSOLVED_RESIDUAL) & (size > former / 2))
         if not rough.any():
             break
-        if k % 2:
-            left, jacobian = linearize(block, samples._replace(z=z))
+        left, jacobian = linearize(block, samples._replace(z=z))
     return z, first, left
 
 
@@ -215,7 +213,7 @@ def complete_samples(
     if system.dependent_blocks:
         z[n:] = evaluate(_guess_function(system.dae), samples.x)[0][n:]
     for block in system.dependent_blocks:
-        z, rest = _solve_block(block, samples._replace(z=z), system.dae.scale[block.span, None])
+        z, _, rest = _correct_block(block, samples._replace(z=z))
         report[f"{block.labels[0].name}_residual"] = _block_residual(system, block, rest)
     return samples._replace(z=z), report
 
@@ -228,18 +226,6 @@ def _guess_function(dae: Dae) -> ca.Function:
 def _block_residual(system: System, block: Block, residual: Array) -> Array:
     """Return the largest residual of a block per sample, in the unit of its first equation."""
     return _max_abs(residual) * system.dae.size_of(block.labels[0])
-
-
-def _solve_block(block: Block, samples: Samples, size: Array) -> tuple[Array, Array]:
-    """Return ``z`` with a block solved, and the residual, which is large without a solution."""
-    z = samples.z.copy()
-    for _ in range(MAX_NEWTON_STEPS):
-        left, jacobian = linearize(block, samples._replace(z=z))
-        step = solve_linear(jacobian, left.T).T
-        z[block.span] -= step
-        if block.linear or not (np.abs(step) > ROUNDING_STEP * size).any():
-            break
-    return z, _evaluate_block(block.residual, block, samples._replace(z=z))[0]
 
 
 def to_trajectory(system: System, samples: Samples, report: dict[str, Array]) -> Trajectory:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
@@ -17,13 +17,9 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
 from slipfree.core.newton import solve_linear
-from slipfree.core.rearrange import blocks, rearrange, variables
-from slipfree.core.records import Array, leaves, unpack
+from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import SolverError, Trajectory
-from slipfree.solve.initial_conditions import (
-    WEAK_SINGULAR_VALUE,
-    linearized,
-)
+from slipfree.solve.initial_conditions import WEAK_SINGULAR_VALUE, linearized
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import consistent_start, simulate
 from slipfree.solve.system import with_inputs
@@ -35,6 +31,8 @@ INCLINATIONS = (("roll", 0.2), ("roll", -0.2), ("pitch", 0.2), ("pitch", -0.2)) 
 DIFFERENT_ANGLE = 1e-4  # smallest difference of roll or pitch of two stable poses [rad]
 SPEED = "speed"  # name of the initial speed of a dynamic model
 TIPPING = 0.03  # tip-over margin on the plane under the wheels of a vehicle that tips over [rad]
+CONTACT_TOLERANCE = 1e-15  # relative change of a position at which a contact point is found
+MAX_CONTACT_MISS = 1e-9  # largest distance from a given contact point [size]
 REST_RATE = 1e-5  # largest rate of the relaxing states at rest [size/s]
 
 
@@ -264,70 +262,6 @@ def first_guess(dae: Dae, x: Array, given: Mapping[str, float]) -> Array:
     return z
 
 
-def settle_exchanged(
-    dae: Dae,
-    exchange: Mapping[str, str],
-    *,
-    options: SolverOptions = SolverOptions(),
-    **start: float,
-) -> Trajectory:
-    """Return the vehicle at rest with given values of some unknowns of its pose.
-
-    ``exchange`` has the names of the states to solve for, each with that of the unknown of the pose
-    (first field of ``z``) that is given instead, in the same unit; ``start`` has the given unknowns
-    and the other states by name, zero if omitted.
-
-    ModelError is raised if a name is unknown, an unknown is given for two states, units differ, or
-    the vehicle cannot stand there.
-    """
-    names, pose = dae.state_names, [label.full for label in leaves(dae.labels.z[0])]
-    for name, known in (*((n, names) for n in exchange), *((n, pose) for n in exchange.values())):
-        if name not in known:
-            raise ModelError(
-                f"settle_exchanged: exchange: expected one of {', '.join(known)}, found {name!r}; "
-                "correct the name"
-            )
-    if len(set(exchange.values())) < len(exchange):
-        raise ModelError(
-            "settle_exchanged: exchange: expected a different unknown in place of each state, "
-            f"found {', '.join(exchange.values())}; replace the repeated name"
-        )
-    i, j = [names.index(name) for name in exchange], [pose.index(n) for n in exchange.values()]
-    model = _exchanged_model(dae, i, j)
-    # One Newton step finds the states `i` at which the original model's guess of the unknowns `j`
-    # equals their given values. It is exact if this guess is linear in the states `i`.
-    states, given = dae.columns()[0], model.start(**start)
-    rows, x = dae.guess[j], given.copy()
-    slope = dae.function("slope", [states], [rows, ca.jacobian(rows, states[i])])
-    x[i] = 0.0
-    at_zero, jacobian = (np.array(part) for part in slope(x))
-    x[i] = np.linalg.lstsq(jacobian, given[i] - at_zero.ravel(), rcond=None)[0]
-    guess = np.array(dae.function("guess", [states], [dae.guess])(x)).ravel()
-    guess[j] = x[i]
-    once = replace(options, compiled=False)
-    run = settle(replace(model, guess=ca.SX(guess)), guess=None, options=once, **start)
-    return settle_at(dae, run, options)
-
-
-def _exchanged_model(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
-    """Return the model with states ``i`` among its unknowns and unknowns ``j`` among its states.
-
-    The model is valid only at rest: the rates of its new states are zero, and it has no checks.
-    """
-    x, z, u = variables(dae)
-    states, unknowns = list(leaves(x)), list(leaves(z))
-    for a, b in zip(i, j, strict=True):
-        state, unknown = states[a].label, unknowns[b].label
-        if state.unit != unknown.unit:
-            raise ModelError(
-                f"settle_exchanged: expected an unknown in {state.unit} in place of "
-                f"{state.full}, found {unknown.full} in {unknown.unit}; exchange other quantities"
-            )
-        states[a], unknowns[b] = unknowns[b], states[a]
-    used_once = replace(dae, checks=())
-    return rearrange(used_once, unpack(x, states), unpack(z, unknowns), u, blocks(dae))
-
-
 def settle_at(dae: Dae, found: Trajectory, options: SolverOptions) -> Trajectory:
     """Return a model settled at the states of the first sample, with its pose as initial guess."""
     states, pose = (
@@ -388,6 +322,22 @@ def settle_contact(
             "settle_contact: expected no x and y, which follow from the contact point, found "
             f"{' and '.join(fixed)}; remove {'it' if len(fixed) == 1 else 'them'}"
         )
-    place = {f"contact_x[{wheel}]": contact_x, f"contact_y[{wheel}]": contact_y}
-    exchange = dict(zip(("x", "y"), place, strict=True))
-    return settle_exchanged(dae, exchange, options=options, **place, **start)
+    from scipy.optimize import root  # imported where it is used: it takes 0.2 s
+
+    def stand(place: Array) -> Trajectory:
+        return settle(dae, guess=None, options=options, x=place[0], y=place[1], **start)
+
+    def miss(place: Array) -> Array:
+        run = stand(place)
+        return np.asarray([run[f"contact_{axis}", wheel][0] for axis in "xy"] - wanted)
+
+    wanted, vehicle = np.array([contact_x, contact_y]), dae.vehicle.numeric
+    k = [each.name for each in vehicle.wheels].index(wheel)
+    away = np.exp(1j * start.get("heading", 0.0)) * complex(*vehicle.centers[k, :2])
+    found = root(miss, wanted - [away.real, away.imag], options={"xtol": CONTACT_TOLERANCE})
+    if not np.abs(found.fun).max() < MAX_CONTACT_MISS * dae.size:
+        raise ModelError(
+            f"settle_contact: no position of the vehicle was found at which wheel {wheel!r} stands "
+            f"at ({contact_x:g}, {contact_y:g}) m; choose another contact point"
+        )
+    return stand(found.x)

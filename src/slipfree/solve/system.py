@@ -326,7 +326,7 @@ def with_inputs(
     slopes, slope = np.zeros_like(values), ca.SX.sym("slope", u.numel())
     for index, (label, value) in enumerate(zip(leaves(dae.labels.u), leaves(inputs), strict=True)):
         if isinstance(value, ca.SX):
-            law[index] = _check_law(dae, label, value)
+            law[index] = check_law(dae, label, value)
         elif isinstance(value, PiecewiseLinear):
             law[index] += slope[index] * dae.t
             values[index] = _check_numbers(label, value.base, intervals)
@@ -469,7 +469,8 @@ def _limit_margin(dae: Dae, bounds: ca.SX, following: ca.SX) -> ca.SX:
     return least
 
 
-def _check_law(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
+def check_law(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
+    """Return an input's expression of time, states and unknowns; ModelError for another one."""
     x, z, u = dae.columns()
     if law.shape != (1, 1):
         raise ModelError(

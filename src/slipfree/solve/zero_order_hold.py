@@ -12,7 +12,6 @@ import numpy as np
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import run_buffered
-from slipfree.core.lookups import found_column
 from slipfree.core.outcome import Outcome, sundials_words
 from slipfree.core.records import Array, Record, leaves, unpack
 from slipfree.core.trajectory import SolverError, Stop, Trajectory
@@ -20,7 +19,7 @@ from slipfree.solve.integrator import COUNTS, Progress, sundials_options, suppre
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, to_trajectory
 from slipfree.solve.simulate import check_times, first_violation, interrupted_at
-from slipfree.solve.system import System, with_inputs
+from slipfree.solve.system import System, check_law, with_inputs
 from slipfree.system.interrupt import InterruptGuard, check_interrupt
 
 PERIOD_TOLERANCE = 1e-6  # largest relative difference between sampling periods that count as equal
@@ -77,21 +76,12 @@ def simulate_sampled(
             "are linear in time; give them as expressions of dae.t"
         )
     own = ca.vertsplit(driven)
-    computed = ca.vertcat(*(own[k] for k, is_law in enumerate(laws) if is_law))
-    rules = ca.vertcat(*(given[k] for k, is_law in enumerate(laws) if is_law))
-    if ca.depends_on(ca.SX(rules), ca.SX(computed)):
-        raise ModelError(
-            "inputs: expected expressions of time, states and numeric inputs, found an expression "
-            "that contains an input given by an expression; substitute it"
-        )
+    numeric = ca.vertcat(ca.SX(0, 1), *(own[k] for k, is_law in enumerate(laws) if not is_law))
+    for label, value in zip(leaves(dae.labels.u), given, strict=True):
+        if isinstance(value, ca.SX):  # of time, states and numeric inputs
+            check_law(dae, label, ca.substitute(value, numeric, ca.SX.zeros(numeric.shape)))
     column = ca.vertcat(*(given[k] if is_law else own[k] for k, is_law in enumerate(laws)))
-    known = [dae.t, state, driven, found_column(dae.lookups)]
-    if free := ca.Function("law", known, [column], {"allow_free": True}).free_sx():
-        raise ModelError(
-            "inputs: expected expressions in the symbols of the model, found the unknown symbol "
-            f"{free[0]}; use dae.t and the fields of dae.x"
-        )
-    law = dae.function("law", known[:3], [column])  # of time, states and numeric inputs
+    law = dae.function("law", [dae.t, state, driven], [column])
     clock = time.process_time()
     n, integrator = t.size, _period_integrator(system, period, options.tolerance)
     symbols = law.mx_in()
