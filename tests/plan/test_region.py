@@ -147,7 +147,7 @@ def flat(**options):
 
 
 def told(layers, *places):
-    return [(each.name, each.words) for each in unreachable(layers, places)]
+    return [*unreachable(layers, places).items()]
 
 
 def test_all_that_is_wrong_is_told():

@@ -9,30 +9,20 @@ from __future__ import annotations
 
 import inspect
 import sys
+import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, wraps
 from math import inf, pi
 from numbers import Integral, Real
 from types import NoneType, SimpleNamespace, UnionType
-from typing import (
-    Annotated,
-    Any,
-    ClassVar,
-    Literal,
-    NamedTuple,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
 import casadi as ca
 import numpy as np
 from annotated_types import Unit
 from typing_extensions import get_protocol_members, is_protocol
 
-from slipfree.core.errors import ModelError, similar
+from slipfree.core.errors import ModelError, read_table, similar
 from slipfree.core.schema import BOUNDS
 
 FULL_TURN = 2 * pi * 1.001  # larger bare angles are probably degrees; the margin allows rounding
@@ -41,7 +31,7 @@ MAX_SHOWN = 60  # characters of a value in a message
 PACKAGE = "slipfree."  # of callers whose angles are not asked about
 BY_NAME = "values by name of a quantity of the model, in its unit"  # mark of an annotation
 ASCENDING = "a smallest and a largest value"  # mark of an annotation
-F = TypeVar("F", bound=Callable[..., Any])
+F = typing.TypeVar("F", bound=Callable[..., Any])
 WORDS: dict[Any, str] = {
     float: "a number",
     int: "an integer",
@@ -52,24 +42,7 @@ WORDS: dict[Any, str] = {
     Sequence: "a sequence",
     Callable: "a function",
 }
-REMEDIES = {  # by expected value
-    "Dae": "build a model, for example with direct_kinematics",
-    "Trajectory": "give the result of settle(model) or simulate",
-    "Vehicle": "choose one of slipfree.catalog, or read_vehicle(path)",
-    "Terrain": "read_map(path), or make one: Bicubic(grid), Analytic(formula); solids: dynamics",
-    "Bicubic": "make one from a map: read_map(path), or Bicubic(grid)",
-    "Grid": "pass the grid of a map, read_map(path).grid, or Grid(x, y, z) of arrays",
-    "Path": "make one of points: Path(np.array([[0.0, 0.0], [1.0, 2.0]]))",
-    "Mesh": "give a record, as in Mesh(intervals=20)",
-    "a record of inputs": "give the inputs by name: model.inputs(**inputs)",
-    "GroundLaw": "give a wheel-ground law, such as Coulomb()",
-    "SlipLaw": "give a slip law, such as LeastSlip() or Rolling()",
-    "Limit": 'give values by name, as in {"x": 2.0, "y": (0.0, 1.0)}',
-    "Cost": 'give weights by name, as in {"slip": 1e3}',
-    "a mapping": 'give values by name, as in {"x": 2.0}',
-    "a number": "give a number in SI units, without quotes",
-    "an array of numbers": "give numbers, as in np.linspace(0, 10, 101)",
-}
+REMEDIES = read_table(__file__, "remedies.toml")
 
 
 class WithUnit(float):
@@ -88,7 +61,7 @@ class _Wrong(Exception):  # noqa: N818 - becomes a ModelError
         self.remedy = remedy or REMEDIES.get(expected, "")
 
 
-class _Context(NamedTuple):
+class _Context(typing.NamedTuple):
     symbolic: bool  # whether expressions stand for numbers, as in records
     units: Mapping[str, str] | None  # of the quantities of the model; None to take any angle
 

@@ -18,22 +18,11 @@ from math import inf, pi
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple, get_args, get_origin
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    ModelWrapValidatorHandler,
-    PlainValidator,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
-    create_model,
-    model_validator,
-)
+import pydantic
 from pydantic_core import PydanticCustomError
 
 from slipfree.core.arguments import MAX_NUMBER, WithUnit, degrees_question
-from slipfree.core.errors import DataError, listed, shortened, similar
+from slipfree.core.errors import DataError, listed, read_table, shortened, similar
 from slipfree.core.schema import Key, keys_of, meanings
 from slipfree.system.regular_files import escape_name, read_bytes, regular_file
 
@@ -57,32 +46,7 @@ MAX_ERRORS = 50  # largest number of errors in a message
 MAX_SHOWN_NUMBER = 1e300  # larger integers are described by their number of bits
 MAX_VALUE = 1e100  # largest quantity; its squares and cubes are finite
 MAX_SHOWN_DEPTH = 3  # nesting up to which arrays are shown
-EXPECTED = {
-    "float_type": "a number",
-    "int_type": "a whole number",
-    "string_type": "text in quotes",
-    "string_too_short": "text that is not empty",
-    "bool_type": "true or false",
-    "model_type": "a table",
-    "dict_type": "a table",
-    "tuple_type": "an array",
-    "finite_number": "a finite number",
-    "greater_than": "a number greater than {gt:g}",
-    "greater_than_equal": "a number of at least {ge:g}",
-    "less_than": "a number less than {lt:g}",
-    "less_than_equal": "a number of at most {le:g}",
-    "literal_error": "{expected}",
-    "too_long": "an array of {max_length} elements",
-}
-SYNTAX = {  # remedies by parts of the messages of tomllib
-    "Invalid value": "; write text in quotes",
-    "Expected newline": "; write key = value once on a line, numbers with a decimal point",
-    "Expected '='": "; write key = value on each line",
-    "Invalid statement": "; write key = value on each line",
-    "Unescaped '\\'": "; write paths with /, or in single quotes",
-    "Cannot overwrite": "; keep one of the two",
-    "twice": "; keep one of the two",
-}
+ERRORS = read_table(__file__, "toml_errors.toml")
 MADE = "# keys of the command line\n"  # first line of a text that is in no file
 MAX_BYTES = 10_000_000  # size of the largest accepted TOML file
 BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that needs no quotes
@@ -288,7 +252,7 @@ def value_errors(value: Any, place: Place = ()) -> Iterator[Fault]:
         yield Fault(place, expected, format_value(value))
 
 
-def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) -> Fault:
+def validation_fault(schema: type[pydantic.BaseModel], data: Any, error: dict[str, Any]) -> Fault:
     """Return an error of pydantic in the ``data`` of a file as a `Fault`: key and both values."""
     place, kind = tuple(error["loc"]), error["type"]
     found = "none" if kind == "missing" else format_value(error["input"])
@@ -299,10 +263,10 @@ def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) 
         return Fault(place, "a number", found)
     if kind == "missing":
         wanted = record_at(schema, place[:-1], data).model_fields[place[-1]].annotation
-        table = isinstance(wanted, type) and issubclass(wanted, BaseModel)
+        table = isinstance(wanted, type) and issubclass(wanted, pydantic.BaseModel)
         table |= str(wanted).startswith("dict")
         return Fault(place, f"a table [{place[-1]}]" if table else "a value", found)
-    words = EXPECTED.get(kind)
+    words = ERRORS["expected"].get(kind)
     details = error.get("ctx", {})
     expected = words.format(**details) if words else error["msg"]
     return Fault(place, expected, details.get("found", found))
@@ -334,8 +298,8 @@ def record_at(schema: type[Any], place: Place, data: Any) -> type[Any]:
     return model
 
 
-def _records(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+def _records(annotation: Any) -> Iterator[type[pydantic.BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
         yield annotation
     for part in get_args(annotation):
         yield from _records(part)
@@ -371,7 +335,7 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
         elif str(error).endswith("(at end of document)"):
             where = f"{path}:{len(text.splitlines()) or 1}"
             found = f"an error at the end: {error}"
-        found += next((words for part, words in SYNTAX.items() if part in str(error)), "")
+        found += next((words for part, words in ERRORS["syntax"].items() if part in str(error)), "")
         raise ProblemError(f"{where}: expected TOML, found {found}") from error
 
 
@@ -472,10 +436,12 @@ MAX_FRICTION = 10.0  # larger coefficients are probably percent
 Piecewise = tuple[tuple[float, float], ...]
 
 
-class Record(BaseModel):
+class Record(pydantic.BaseModel):
     """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = pydantic.ConfigDict(
+        strict=True, extra="forbid", frozen=True, allow_inf_nan=False
+    )
     removed_keys: ClassVar[Mapping[str, str]] = {}  # remedies for keys of earlier versions
 
     @classmethod
@@ -497,9 +463,9 @@ class Record(BaseModel):
         """Return the keys that messages about unknown keys list."""
         return [*cls.model_fields]
 
-    @model_validator(mode="wrap")
+    @pydantic.model_validator(mode="wrap")
     @classmethod
-    def _by_contents(cls, data: Any, handler: ModelWrapValidatorHandler[Record]) -> Record:
+    def _by_contents(cls, data: Any, handler: pydantic.ModelWrapValidatorHandler[Record]) -> Record:
         """Validate a table by the schema for its contents."""
         schema = cls.schema_for(data)
         return handler(data) if schema is cls else schema.model_validate(data)
@@ -540,8 +506,8 @@ def parse_unit(value: Any) -> Any:
     return KINDS[match[3]](number * pi / 180 if match[2] == "deg" else number)
 
 
-def _reader(unit: type[WithUnit], text: str) -> WrapValidator:
-    def read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
+def _reader(unit: type[WithUnit], text: str) -> pydantic.WrapValidator:
+    def read(value: Any, validate: pydantic.ValidatorFunctionWrapHandler) -> float:
         parsed = parse_unit(value)
         if not isinstance(parsed, WithUnit):
             if isinstance(parsed, str):
@@ -553,7 +519,7 @@ def _reader(unit: type[WithUnit], text: str) -> WrapValidator:
         validate(float(parsed))
         return parsed
 
-    return WrapValidator(read)
+    return pydantic.WrapValidator(read)
 
 
 WITH_UNIT = _reader(WithUnit, EXAMPLE)
@@ -561,16 +527,16 @@ Quantity = Annotated[float, WITH_UNIT]  # `unit_faults` checks the unit, which d
 IN_RADIANS = _reader(AngleWithUnit, 'a number, or text as in "30 deg"')
 IN_RADIANS_PER_SECOND = _reader(RateWithUnit, 'a number, or text as in "5 deg/s"')
 Angle = Annotated[float, IN_RADIANS]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Count = Annotated[int, Field(ge=0)]
+Positive = Annotated[float, pydantic.Field(gt=0)]
+NonNegative = Annotated[float, pydantic.Field(ge=0)]
+Count = Annotated[int, pydantic.Field(ge=0)]
 # arrays are read as tuples; types of elements are not converted
-Pair = Annotated[tuple[float, float], Field(strict=False)]
-Point = Annotated[tuple[float, float, float], Field(strict=False)]
-Column = Annotated[tuple[float, ...], Field(strict=False)]
-Angles = Annotated[tuple[Angle, ...], Field(strict=False)]
-Window = Annotated[tuple[float, float, float, float], Field(strict=False)]
-Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
+Pair = Annotated[tuple[float, float], pydantic.Field(strict=False)]
+Point = Annotated[tuple[float, float, float], pydantic.Field(strict=False)]
+Column = Annotated[tuple[float, ...], pydantic.Field(strict=False)]
+Angles = Annotated[tuple[Angle, ...], pydantic.Field(strict=False)]
+Window = Annotated[tuple[float, float, float, float], pydantic.Field(strict=False)]
+Rock = Annotated[tuple[float, float, float, float], pydantic.Field(strict=False)]
 
 
 def unit_faults(
@@ -604,7 +570,7 @@ def in_radians(value: float) -> float:
 
 
 ANGULAR = {  # angles and rates may have a unit; a bare angle of more than a full turn is an error
-    "rad": (IN_RADIANS, AfterValidator(in_radians)),
+    "rad": (IN_RADIANS, pydantic.AfterValidator(in_radians)),
     "rad/s": (IN_RADIANS_PER_SECOND,),
 }
 
@@ -621,7 +587,7 @@ def record_of(
     keys: dict[str, Any] = {
         key.name: (
             _toml_type(key),
-            Field(
+            pydantic.Field(
                 default=... if key.default is MISSING else key.default, description=key.description
             ),
         )
@@ -631,20 +597,20 @@ def record_of(
     meaning = meaning or (kind.__doc__ or "").partition("\n")[0]
     name = kind.__name__
     name = name if isinstance(kind, type) else name.title().replace("_", "")
-    return create_model(name, __base__=base, __doc__=meaning, **keys)
+    return pydantic.create_model(name, __base__=base, __doc__=meaning, **keys)
 
 
 def decoded(kind: Callable[..., Any]) -> Any:
     """Return the type of a table that is decoded into a dataclass with annotated fields."""
-    made = AfterValidator(lambda table: kind(**given_values(table)))
+    made = pydantic.AfterValidator(lambda table: kind(**given_values(table)))
     return Annotated[record_of(kind), made]
 
 
 def _toml_type(key: Key) -> Any:
     plain = getattr(key.hint, "__origin__", key.hint)
     if tuple in (plain, get_origin(plain)):
-        return Annotated[key.hint, Field(strict=False)]
-    return Annotated[key.hint, *ANGULAR.get(key.unit, (Field(),))]
+        return Annotated[key.hint, pydantic.Field(strict=False)]
+    return Annotated[key.hint, *ANGULAR.get(key.unit, (pydantic.Field(),))]
 
 
 def given_values(table: Record) -> dict[str, Any]:
@@ -688,7 +654,7 @@ def _piecewise_constant(value: Any) -> float | Piecewise:
     return tuple((float(t), _number(rate)) for t, rate in pairs)
 
 
-def _or_text(expected: str) -> PlainValidator:
+def _or_text(expected: str) -> pydantic.PlainValidator:
     """Return a validator of a piecewise-constant function, or a text that names or describes it."""
 
     def read(value: Any) -> float | Piecewise | str:
@@ -699,7 +665,7 @@ def _or_text(expected: str) -> PlainValidator:
             raise expected_error(expected)
         return _piecewise_constant(value)
 
-    return PlainValidator(read)
+    return pydantic.PlainValidator(read)
 
 
 def _range(value: Any) -> tuple[float, float]:
@@ -724,7 +690,7 @@ def coefficient(value: Any) -> float | str:
     raise expected_error(f"a number greater than 0, {percent}or the name of a file in quotes")
 
 
-def one_of(known: Collection[str]) -> AfterValidator:
+def one_of(known: Collection[str]) -> pydantic.AfterValidator:
     """Return a validator that accepts the names among ``known``, which may change later."""
 
     def check(name: str) -> str:
@@ -732,7 +698,7 @@ def one_of(known: Collection[str]) -> AfterValidator:
             raise expected_error(f"one of {', '.join(known)}")
         return name
 
-    return AfterValidator(check)
+    return pydantic.AfterValidator(check)
 
 
 def not_zero(value: float) -> float:
@@ -742,9 +708,9 @@ def not_zero(value: float) -> float:
     return value
 
 
-PiecewiseConstant = Annotated[Any, PlainValidator(_piecewise_constant)]
+PiecewiseConstant = Annotated[Any, pydantic.PlainValidator(_piecewise_constant)]
 PiecewiseConstantOrFile = Annotated[Any, _or_text(PAIRS)]
 TimeFunction = Annotated[
     Any, _or_text("a number, an array of [time, value] pairs, or a formula of t in quotes")
 ]
-Range = Annotated[Any, PlainValidator(_range)]
+Range = Annotated[Any, pydantic.PlainValidator(_range)]

@@ -25,24 +25,8 @@ from slipfree.core.schema import Count, NonNegative
 from slipfree.geometry.path import Path
 from slipfree.geometry.regions import Region
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.routing.traversability import (
-    HEADINGS,
-    SLIDING,
-    Point,
-    Traversability,
-    axis_step,
-    blocking_reasons,
-    extents,
-    more_friction_words,
-    nearest_headings,
-    node_at,
-    nodes_at,
-    out_of_bounds,
-    point_text,
-    reasons_by_kind,
-    to_edge,
-    window,
-)
+from slipfree.routing import traversability
+from slipfree.routing.traversability import Point, Traversability, node_at, nodes_at, point_text
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
 
@@ -129,7 +113,7 @@ def along(layers: Traversability, rough: Array) -> Traversability:
     owner = np.zeros(off.shape, dtype=np.intp)
     at = nodes_at(layers, middle)
     off[at], owner[at] = False, np.arange(len(middle))
-    heading = nearest_headings(layers, steps)[owner[_nearest(off, layers.spacing)]]
+    heading = traversability.nearest_headings(layers, steps)[owner[_nearest(off, layers.spacing)]]
     cost = np.take_along_axis(layers.cost, heading[None], axis=0)
     return layers._replace(heading=layers.heading[:1], cost=cost)
 
@@ -139,7 +123,7 @@ def path_cost(layers: Traversability, points: Array) -> float:
     ends = np.append(0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     crossings = list[Array]()  # of borders between the nearest nodes, where the cost jumps
     for axis, column in zip((layers.x, layers.y), points.T, strict=True):
-        at = (column - axis[0]) / axis_step(axis) + 0.5  # borders have whole numbers
+        at = (column - axis[0]) / traversability.axis_step(axis) + 0.5  # borders have whole numbers
         first = np.ceil(np.minimum(at[:-1], at[1:]))
         count = (np.ceil(np.maximum(at[:-1], at[1:])) - first).astype(int)
         k = np.repeat(np.arange(count.size), count)
@@ -150,7 +134,7 @@ def path_cost(layers: Traversability, points: Array) -> float:
     steps, nodes = np.diff(dense, axis=0), nodes_at(layers, 0.5 * (dense[1:] + dense[:-1]))
     cost = layers.cost_toward(np.arctan2(-steps[:, 0], steps[:, 1]), *nodes)
     # beside a heading that is blocked, the cost is that of the nearest one
-    near = layers.cost[(nearest_headings(layers, steps), *nodes)]
+    near = layers.cost[(traversability.nearest_headings(layers, steps), *nodes)]
     return float(np.where(np.isinf(cost), near, cost) @ np.linalg.norm(steps, axis=1))
 
 
@@ -167,7 +151,9 @@ def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Cost
     """Return cost and clearance on the part of the map that smoothing can reach."""
     (x_min, y_min), (x_max, y_max) = rough.min(axis=0), rough.max(axis=0)
     room = 2 * turning_radius + 4 * layers.limits.half + 4 * max(layers.spacing)
-    part = window(layers, (float(x_min), float(x_max), float(y_min), float(y_max)), room)
+    part = traversability.window(
+        layers, (float(x_min), float(x_max), float(y_min), float(y_max)), room
+    )
     cost, h = layers.least_cost[part], layers.spacing
     free = np.isfinite(cost)
     if free.all():
@@ -515,7 +501,7 @@ def routes(
 
 def _check_ends(layers: Traversability, start: Point, goal: Point) -> None:
     for name, point in (("start", start), ("goal", goal)):
-        if why := blocking_reasons(layers, *map(float, point)):
+        if why := traversability.blocking_reasons(layers, *map(float, point)):
             raise ModelError(
                 f"route: the vehicle cannot be at the {name} {point_text(point)}: {why}; "
                 f"move the {name}"
@@ -593,44 +579,35 @@ REMEDIES = {
 Ends = tuple[tuple[int, int], tuple[int, int]]  # nodes
 
 
-class Objection(NamedTuple):
-    """Reason why a position cannot be part of a motion."""
-
-    name: str  # name of the position, such as ``"goal"``
-    words: str  # the reason with numbers, and a remedy
-
-
 def unreachable(
     layers: Traversability, positions: Sequence[tuple[str, float, float]]
-) -> list[Objection]:
-    """Return the objections to named positions, the first of which is the start.
+) -> dict[str, str]:
+    """Return why named positions, the first of which is the start, cannot be part of a motion.
+
+    Texts have numbers and a remedy.
 
     Positions are off the map or within reach of a keep-out region, or such regions separate them
     from the start. No other reason is sure: a route requires space for every heading, a motion does
     not.
     """
-    objections = list[Objection]()
+    objections = dict[str, str]()
     for name, x, y in positions:
-        reasons = reasons_by_kind(layers, x, y)
-        is_off = to_edge(layers.limits, np.asarray(x), np.asarray(y)) < 0
+        reasons = traversability.reasons_by_kind(layers, x, y)
+        is_off = traversability.to_edge(layers.limits, np.asarray(x), np.asarray(y)) < 0
         found = {kind: reasons[kind] for kind in REMEDIES if kind in reasons}
         if not is_off:
             found.pop("edge", None)
         if found:
             remedies = " or ".join([f"move the {name}", *(REMEDIES[kind] for kind in found)])
             words = f"the vehicle cannot be at the {name} {point_text((x, y))}: "
-            objections.append(Objection(name, f"{words}{'; '.join(found.values())}; {remedies}"))
-    off = {each.name for each in objections}
+            objections[name] = f"{words}{'; '.join(found.values())}; {remedies}"
     first, *others = positions
-    if first[0] in off:
+    if first[0] in objections:
         return objections
     for name, x, y in others:
-        if name not in off and (why := _keep_out_words(layers, first[1:], (x, y))):
-            words = (
-                f"the {name} {point_text((x, y))} cannot be reached from the {first[0]} "
-                f"{point_text(first[1:])}: {why}"
-            )
-            objections.append(Objection(name, words))
+        if name not in objections and (why := _keep_out_words(layers, first[1:], (x, y))):
+            words = f"the {name} {point_text((x, y))} cannot be reached from the {first[0]} "
+            objections[name] = f"{words}{point_text(first[1:])}: {why}"
     return objections
 
 
@@ -641,7 +618,7 @@ def unheld_words(terrain: Bicubic, vehicle: Vehicle, x: float, y: float) -> str:
     """
     if terrain.mu is None or not vehicle.mass:
         return ""
-    half = extents(vehicle)[2] / 2
+    half = traversability.extents(vehicle)[2] / 2
     ends = terrain.elevation(x + half * np.array([1, -1, 0, 0]), y + half * np.array([0, 0, 1, -1]))
     slope = np.hypot(*(ends[::2] - ends[1::2])) / (2 * half)
     grip = max(wheel.grip for wheel in vehicle.wheels)
@@ -649,12 +626,14 @@ def unheld_words(terrain: Bicubic, vehicle: Vehicle, x: float, y: float) -> str:
     if slope <= limit:
         return ""
     model = direct_kinematics(vehicle, terrain)
-    poses = atlas(model, headings=HEADINGS, x=np.array([x]), y=np.array([y]), compiled=False)
+    poses = atlas(
+        model, headings=traversability.HEADINGS, x=np.array([x]), y=np.array([y]), compiled=False
+    )
     bounds = least_bounds(poses)
     if bounds is None or not poses.stands.any():
         return ""
     factor = float(np.nanmin(poses[bounds[0].name])) / (limit or 1.0)
-    return more_friction_words(factor) if factor > 1 else ""
+    return traversability.more_friction_words(factor) if factor > 1 else ""
 
 
 def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
@@ -665,7 +644,14 @@ def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
     best = int(gaps.argmin())
     nearest = np.array([layers.x[i[best]], layers.y[j[best]]])
     ahead = resample_polyline(np.stack([nearest, goal]), 0.5 * min(layers.spacing))
-    why = next((w for w in (blocking_reasons(layers, *point) for point in ahead.tolist()) if w), "")
+    why = next(
+        (
+            w
+            for w in (traversability.blocking_reasons(layers, *point) for point in ahead.tolist())
+            if w
+        ),
+        "",
+    )
     return (
         f"no route leads from {point_text(start)} to {point_text(goal)}: the ground that can be "
         f"reached ends at {point_text(nearest)}, {gaps[best]:.3g} m from the goal"
@@ -682,9 +668,9 @@ def separation_words(layers: Traversability, places: Sequence[Point], *, by_fric
     """
     if len(places) < 2:
         return ""
-    blocked = layers.cost >= SLIDING
+    blocked = layers.cost >= traversability.SLIDING
     if not by_friction:
-        blocked = np.logical_or.reduce([*out_of_bounds(layers).values()])[None]
+        blocked = np.logical_or.reduce([*traversability.out_of_bounds(layers).values()])[None]
     held = layers._replace(cost=np.where(blocked, np.inf, layers.cost))
     regions = _labels(np.isfinite(held.least_cost))
     for start, goal in pairwise(np.asarray(places)):
@@ -723,7 +709,7 @@ def _keep_out_words(layers: Traversability, start: Point, goal: Point) -> str:
 def _divides(layers: Traversability, regions: tuple[Region, ...], ends: Ends) -> bool:
     """Return whether keep-out regions separate two nodes."""
     limits = layers.limits._replace(keep_out=regions)
-    free = ~out_of_bounds(layers._replace(limits=limits))["keep_out"]
+    free = ~traversability.out_of_bounds(layers._replace(limits=limits))["keep_out"]
     free[ends[0]] = free[ends[1]] = True
     labels = _labels(free)
     return bool(labels[ends[0]] != labels[ends[1]])
