@@ -67,7 +67,7 @@ def test_a_run_reports_where_the_body_came_closest_and_ends_there(tmp_path):
 
 def test_the_description_of_a_vehicle_lists_shapes_and_clearance(tmp_path):
     written(tmp_path, 0.1)
-    printed = invoke("vehicle", tmp_path / "cart.toml").stdout
+    printed = invoke("vehicle", tmp_path / "cart.toml", "--verbose").stdout
     assert "box 0.6 x 0.3 x 0.1 m at (0, 0.3, 0.1) m" in printed
     assert "clearance of the body" in printed
     assert "0.25 m, the platform above (" in printed

@@ -188,6 +188,7 @@ REFUSED = {
         changed({3: lambda x: -4.5 + x / 89e3, 4: lambda y: 36.7 + y / 111e3}),
         "found degrees of longitude and latitude; project them to the map's system, EPSG:32630",
     ),
+    "feet": (changed(dict.fromkeys((3, 4), lambda x: x / 0.3048)), "positions in feet, as in 'x"),
     "headings in degrees": (changed({5: np.rad2deg}), "as degrees .*as in 'heading \\[deg\\]'"),
     "headings clockwise from north": (
         changed(COMPASS),
@@ -296,7 +297,7 @@ def test_remedies_work() -> None:
     minutes = degrees.replace("x,y", "lon,lat").replace(",36.", ",3642.")
     refuses(DataError, "perhaps degrees and minutes", read, minutes, 'x = "lon"\ny = "lat"')
     with pytest.raises(DataError) as refused:
-        read(degrees.replace("x,y", "lon,lat"), 'x = "lon"\ny = "lat"')
+        read(degrees.replace("x,y", "lon,lat"))
     (command,) = re.findall(r'python -c "(.*)"', str(refused.value))
     subprocess.run([sys.executable, "-c", command], check=True)
     # the scale of the projection, and its north

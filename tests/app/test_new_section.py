@@ -132,4 +132,4 @@ def test_it_is_drawn(write):
     assert_allclose((x / B) ** 2 + (y**2 + z**2) / R**2, 1, rtol=1e-12)
     invoke("show", "p.nc", "--html", "page.html")
     assert Path("page.html").stat().st_size > 1e5
-    assert "ellipsoid half_width 0.1, equator 0.3 m" in invoke("vehicle", "trike.toml").stdout
+    assert "ellipsoid half_width 0.1, equator 0.3 m" in invoke("vehicle", "trike.toml", "-v").stdout

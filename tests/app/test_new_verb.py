@@ -92,7 +92,7 @@ def test_commands_take_a_new_verb() -> None:
     assert "load on wheel front" in found
     assert Path("p_figures/loads.png").is_file(), found
     assert "ok" in printed("check", "p.toml")
-    assert "wheel front" in printed("vehicle", "p.toml")
+    assert "wheel front" in printed("vehicle", "p.toml", "--verbose")
     assert "load on wheel front" in printed("info", "p.nc")
     assert "figures: " not in printed("report", "p.nc")
     assert "load on wheel front" in Path("p.html").read_text()

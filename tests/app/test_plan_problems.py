@@ -202,7 +202,7 @@ def test_a_goal_a_turn_away_is_reached_the_short_way(tmp_path: Path):
     assert motion.stop is None
     assert motion["heading"][-1] == pytest.approx(np.deg2rad(10), abs=1e-3)
     assert dict(motion_facts(motion))["whole turns"] == (
-        "heading is 0.174533 rad at the end, a turn less than 6.457718232: the same position, "
+        "heading is 10 deg at the end, a turn less than 370 deg: the same position, "
         "reached the short way"
     )
 

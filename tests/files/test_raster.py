@@ -23,6 +23,7 @@ from helpers import rasters
 from helpers.rasters import from_origin, refuses
 from slipfree import DataError, ModelError
 from slipfree.files.maps.elevation import read_map
+from slipfree.files.maps.raster import FEET
 
 UTM = "EPSG:32633"
 WEST, NORTH, CELL = 500000.0, 4.5e6, 0.25
@@ -208,7 +209,7 @@ def test_holes_scales_and_offsets_of_a_geotiff(tmp_path):
     assert_allclose(found.grid.z[0], 3 + 0.01 * rows[::-1, 0], rtol=1e-15)
     assert (
         dict(found.facts)["ground map heights"]
-        == "values of the file x 0.01 + 3, unit not stated: taken as metres"
+        == "values of the file x 0.01 + 3, unit not stated: taken as metres" + FEET
     )
 
 
@@ -521,7 +522,7 @@ def test_gray_levels_are_told_from_heights(tmp_path, dtype, options, gray):
 
 def test_heights_in_other_units_are_converted(tmp_path):
     path = geotiff(tmp_path / "map.tif")
-    assert dict(read_map(path).facts)["ground map heights"] == "unit not stated: taken as metres"
+    assert dict(read_map(path).facts)["ground map heights"].endswith(FEET)
     for unit, length in (("ft", 0.3048), ("US survey foot", 1200 / 3937), ("cm", 0.01)):
         with rasterio.open(path, "r+") as file:
             file.units = (unit,)

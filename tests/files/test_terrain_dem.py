@@ -113,7 +113,10 @@ def test_the_error_told_of_local_metres_is_that_of_the_ellipsoid(tmp_path):
         ("nodata_value 0\n" + HEADER + ROWS, "begin the file with the lines ncols, nrows, xllcorn"),
         (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, "expected rows that run along x"),
         (HEADER + ROWS + "\n1 2 3 4 5", "expected 20 heights, ncols times nrows, found 25"),
-        (HEADER + ROWS.replace("12", "1,2"), "expected numbers in line 8, found '1,2'"),
+        (
+            HEADER + ROWS.replace("12", "1,2"),
+            "in line 8, found '1,2'; .*: tr , . < map.asc > points.asc",
+        ),
         (HEADER + ROWS.replace("22", "inf"), r"map.asc: grid: .* z\[2, 1\] = inf"),
         (HEADER + " ".join(["-9999"] * 20), "expected heights, found none at any node"),
     ],

@@ -98,8 +98,9 @@ def vehicle(
 ) -> None:
     """Describe the vehicle of a problem or of a vehicle file.
 
-    Print parts, wheels, inputs, dimensions and mass of the vehicle, and the errors of an invalid
-    one. With --verbose, also print numbers of unknowns and equations, and condition numbers.
+    Print whether the vehicle can roll without slip, inputs, dimensions, mass, wheels and guesses,
+    or the errors of an invalid vehicle. With --verbose, also print the tree of parts, all notes,
+    numbers of unknowns and equations, and condition numbers.
 
     Parameters
     ----------
@@ -118,13 +119,13 @@ def vehicle(
         write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
         console.print_line(f"wrote {write}\n")
     description = describe(file, settings or [], trust or [])
-    console.print_line("\n".join([*description.tree, ""]))
+    console.print_line("\n".join([*description.tree[: None if description.faults else 1], ""]))
     console.add_json("tree", lambda: description.tree)
     console.add_json("wheels", lambda: description.wheels)
+    console.print_facts(description.facts, description.details, main=description.main)
     if description.wheels:
         columns = [TableColumn(name, name) for name in description.wheels[0]]
-        console.print_line("\n".join([*table(columns, description.wheels), ""]))
-    console.print_facts(description.facts, description.details)
+        console.print_line("\n".join(["", *table(columns, description.wheels)]))
     if description.faults:
         console.print_error("\n".join(description.faults))
         raise typer.Exit(BAD_INPUT)

@@ -83,8 +83,8 @@ def rows(text: str) -> tuple[Row, ...]:
 def printed_unit(unit: str) -> str:
     """Return a printed unit: ``m/s`` for ``m s-1``."""
     parts = unit.split()
-    over = " ".join(p for p in parts if not p.endswith("-1")) or "1"
-    return "/".join([over, *(p.removesuffix("-1") for p in parts if p.endswith("-1"))])
+    over = " ".join(part for part in parts if "-" not in part) or "1"
+    return "/".join([over, *(p.replace("-", "").removesuffix("1") for p in parts if "-" in p)])
 
 
 def lines(rows: Iterable[Row], values: Mapping[str, Any]) -> list[tuple[str, str]]:

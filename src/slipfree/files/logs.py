@@ -19,7 +19,14 @@ from slipfree.core.records import Array, ComplexArray, Indices, Mask
 from slipfree.files.maps.reference_systems import metric_system
 from slipfree.files.mcap import is_mcap, read_motion_log
 from slipfree.files.netcdf import read as read_result
-from slipfree.files.tables import ALIASES, Columns, line_of, read_columns, split_unit
+from slipfree.files.tables import (
+    ALIASES,
+    Columns,
+    line_of,
+    read_columns,
+    read_names,
+    split_unit,
+)
 
 POSE = ("x", "y", "heading", "vx", "vy", "window")  # columns that rows of a log must have
 GAP = 1.5  # longest time between rows whose positions count as continuous [s], or 1.5 medians
@@ -47,6 +54,7 @@ OF_SPEEDS = {
 }
 OF_POSES = {
     "times in ms, as in 't [ms]'": 1e-3,
+    "positions in feet, as in 'x [ft]'": 1 / 0.3048,
     "positions in cm, as in 'x [cm]'": 1e2,
     "positions in mm, as in 'x [mm]'": 1e3,
 }
@@ -102,6 +110,10 @@ def read_log(
     else:
         known = {name: "m" for name in ("error",) if name in names} | dict(units or {})
         free = {*names} - {"t"}
+        header = {name.lower(): name for name in read_names(path, kind)}
+        degrees = [next((header[n] for n in group if n in header), "") for group in ALIASES[-2:]]
+        if names.get("x") == "x" and all(degrees) and not ALIASES[1] & {*header}:
+            columns = names = {**names, "x": degrees[0], "y": degrees[1]}
         table = read_columns(path, columns, kind, where=where, units=known, optional=free)
     for name in ("x", "y"):
         if any(split_unit(names.get(name, ""))[0].lower() in group for group in ALIASES[-2:]):
@@ -431,13 +443,13 @@ def _check_travel(
             "probably angles or counts of an encoder; write their change over the time between "
             "rows, times 2 pi over the counts of a turn"
         )
-    words = min(ratios, key=lambda words: abs(ratio / ratios[words] - 1))
+    units = ", or ".join(w for w, each in ratios.items() if abs(ratio / each - 1) < NEAR)
     if likeness > ALIKE and ratio < DEGREE:
         raise _degrees(log.path, log.values, ["x", "y"])
-    if likeness > ALIKE and abs(ratio / ratios[words] - 1) < NEAR:
+    if likeness > ALIKE and units:
         raise DataError(
             f"{log.path}: expected times in s, positions in m and rates in SI units, found a "
-            f"motion of {ratio:.3g} times the travel of the wheels, probably {words}; name the "
+            f"motion of {ratio:.3g} times the travel of the wheels, probably {units}; name the "
             "unit with the column in [data.columns] or [data.rates]; if the slip is so large, name "
             "the SI unit with the rates"
         )

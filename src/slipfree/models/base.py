@@ -341,8 +341,8 @@ def equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
         Label(
             f"equilibrium_{label.name.removesuffix('_rate')}",
             "1" if label.unit == "m s-1" else "m",
-            f"{'force' if label.unit == 'm s-1' else 'moment'} divided by weight, equilibrium with "
-            f"respect to {label.words.removeprefix('rate of ')}",
+            f"balance of {'forces' if label.unit == 'm s-1' else 'moments'} over the weight, for "
+            f"the {label.words.removeprefix('rate of ')}",
         )
         for label in leaves(rates.motion)
     )

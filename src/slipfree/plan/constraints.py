@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.dae import Limit
+from slipfree.core.facts import printed_unit
 from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.transcription import (
@@ -242,11 +243,8 @@ def bounds_words(label: Label, low: float, high: float) -> str:
 
 
 def unit_words(unit: str) -> str:
-    """Return a unit as a fraction, such as ``"rad/s"`` for ``"rad s-1"``."""
-    parts = unit.split()
-    over = [part for part in parts if "-" not in part and part != "1"]
-    under = [part.replace("-", "").removesuffix("1") for part in parts if "-" in part]
-    return "/".join([" ".join(over) or "1", *under]) if under else " ".join(over)
+    """Return a printed unit, such as ``"rad/s"`` for ``"rad s-1"``; empty for ``"1"``."""
+    return "" if unit in ("", "1") else printed_unit(unit)
 
 
 def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:

@@ -12,9 +12,10 @@ import numpy as np
 from slipfree.core.arguments import ASCENDING, BY_NAME
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
+from slipfree.core.facts import SCALES
 from slipfree.core.records import Array, Mask, leaves
 from slipfree.core.trajectory import Trajectory
-from slipfree.plan.constraints import LIMITED_SUFFIX, conflicts
+from slipfree.plan.constraints import LIMITED_SUFFIX, conflicts, unit_words
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import PlanTask, TimedCondition
 from slipfree.solve.sampling import TURN, periodic_states
@@ -35,10 +36,11 @@ def range_of(value: float | Range) -> Range:
     return float(ends[0]), float(ends[-1])
 
 
-def spelled(bounds: Range) -> str:
-    """Return the text of a range, or of a value if both bounds are equal."""
-    low, high = bounds
-    return f"{low:.10g}" if low == high else f"{low:.10g} to {high:.10g}"
+def spelled(bounds: Range, unit: str = "") -> str:
+    """Return the text of a range, or of a value if both bounds are equal; angles in degrees."""
+    scale, shown = (SCALES["deg"], "deg") if unit == "rad" else (1.0, unit_words(unit))
+    low, high = (f"{round(scale * each, 6):.10g}" for each in bounds)
+    return f"{low if low == high else f'{low} to {high}'} {shown}".rstrip()
 
 
 def free_durations(durations: Sequence[float]) -> Range:

@@ -47,6 +47,7 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 
 VERSION = "_version"
+NOTE = "vehicle file"  # name of the facts on the vehicle file
 ELSEWHERE = (  # attributes reported in other sections
     *("problem", "settings", "history", "title", "date_created", "problem_folder"),
     *(STORED, MAP_TRANSFORM),
@@ -144,7 +145,7 @@ def _versions(file: Path, attributes: Mapping[str, str]) -> Lines:
 class Description(NamedTuple):
     """Description of a vehicle: tree of its parts, wheels, facts, and errors if it has any.
 
-    ``details`` are facts about the numbers of unknowns and equations.
+    ``details`` are the parts, and facts about the numbers of unknowns and equations.
     """
 
     tree: list[str]
@@ -152,6 +153,15 @@ class Description(NamedTuple):
     facts: Lines
     faults: tuple[str, ...]
     details: Sequence[tuple[str, str]] = ()
+
+    @property
+    def main(self) -> Lines:
+        """Facts with guesses in short, without other notes on the vehicle file."""
+        notes = [text for name, text in self.facts if name == NOTE]
+        guesses = [text.partition("; otherwise")[0] for text in notes if text.startswith("guessed")]
+        shown = [*guesses, f"tree of parts, and all {len(notes)} notes: slipfree vehicle FILE -v"]
+        facts = [each for each in self.facts if each[0] != NOTE]
+        return facts + [(NOTE, text) for text in shown * bool(notes)]
 
 
 def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = ()) -> Description:
@@ -182,7 +192,8 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
         check_driven(vehicle)
         return _description(vehicle, dae, level, settle(dae))
     except ModelError as error:
-        faults = (f"{path}: on level ground: {error}",)
+        words = str(error).replace("choose another start or other inputs", "correct the vehicle")
+        faults = (f"{path}: on level ground: {words}",)
         return Description(_drawn_tree(vehicle), wheel_rows(vehicle), facts, faults, details)
 
 
@@ -208,7 +219,9 @@ def _description(vehicle: Vehicle, dae: Dae, terrain: Terrain, start: Trajectory
     clear = lines(START_ROWS, closest_fact(vehicle, terrain, start))
     main, details = counts(vehicle, dae)
     facts = [*main, *dimensions(vehicle), *clear, *_notes(vehicle)]
-    return Description(_drawn_tree(vehicle), wheel_rows(vehicle), facts, (), [*details, *solved])
+    drawn = _drawn_tree(vehicle)
+    details = [*(("parts", line) for line in drawn), *details, *solved]
+    return Description(drawn, wheel_rows(vehicle), facts, (), details)
 
 
 def wheel_rows(vehicle: Vehicle) -> list[Mapping[str, str]]:
@@ -263,7 +276,7 @@ def _drawn_tree(vehicle: Vehicle | Draft) -> list[str]:
 
 
 def _notes(vehicle: Vehicle | Draft) -> Lines:
-    return [("vehicle file", note) for note in vehicle.notes]
+    return [(NOTE, note) for note in vehicle.notes]
 
 
 def tree(vehicle: Vehicle | Draft) -> list[str]:
@@ -349,15 +362,15 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     passive = [c.name for c in vehicle.of("passive")]
     given, needed = len(passive) + len(free), _tangential(vehicle) - 3
-    more = "too few by" if given < needed else "too many by"
-    balance = "as many as needed" if given == needed else f"{more} {abs(needed - given)}"
+    more = "too few" if given < needed else "too many"
+    balance = "as many as needed" if given == needed else f"{abs(needed - given)} {more}"
     if has_law:
         can_roll = rolls = "the wheels slip as the wheel-ground law determines"
     elif given == needed:
         law = "least" if any(wheel.rollers for wheel in vehicle.wheels) else "rolling"
         can_roll, rolls = "yes", f"it can roll without slip (slip = '{law}')"
     else:
-        can_roll = f"no: passive joints and free wheels are {balance}"
+        can_roll = f"no: {balance} passive joints and free wheels"
         rolls = "it moves with least slip (slip = 'least')"
     ground = ["height", "pitch", "roll", *(c.name for c in vehicle.of("suspension"))]
     listed_ground = ", ".join(ground if is_exact else [*ground, "depths of the wheels"])

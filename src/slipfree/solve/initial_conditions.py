@@ -9,6 +9,7 @@ import numpy as np
 
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import dense, evaluate
+from slipfree.core.facts import Fact
 from slipfree.core.newton import ROUNDING, solve_equations, solve_linear
 from slipfree.core.records import Array, leaves
 from slipfree.solve.system import Block, System
@@ -143,9 +144,10 @@ def _failure_message(system: System, block: Block, point: tuple[Any, ...], first
                     return f"the vehicle cannot stand at the start: {words}"
     residual = np.nan_to_num(np.abs(np.array(block.residual(*point)).ravel()), nan=np.inf)
     worst = block.labels[int(residual.argmax())]
+    size = Fact(float(residual.max()) * system.dae.size_of(worst), worst.unit)
     message = (
-        f"no solution was found at the start: {worst.full}, the {worst.words}, has a residual "
-        f"of {residual.max() * system.dae.size_of(worst):.2g} {worst.unit}"
+        f"no solution was found at the start: {worst.full} ({worst.words}) has a residual of "
+        f"{size:.2g}"
     )
     for state in (first, z):
         _, values, _ = system.outputs(0.0, x, state, u)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import re
+import shlex
 import sys
 import warnings
 from codecs import BOM_UTF8
@@ -40,6 +41,7 @@ CACHE = 64  # GDAL's cache of blocks [MB]
 EDITABLE = "GTiff", "HFA"  # formats whose missing value gdal_edit.py changes in the file
 # P2 or P5, then width, height and maximum, with comments between them; one blank ends the header
 PGM_HEADER = re.compile(rb"P([25])" + 3 * rb"(?:\s|#[^\r\n]*[\r\n])+(\d+)" + rb"(?:\r\n|\s)")
+FEET = "; for feet set terrain.vertical_scale = 0.3048"
 SHOWN = 20  # bytes of a damaged header in messages
 DEGREE = 1.11e5  # approximate length of a degree [m]
 OCCUPANCY = 205, 0, 254  # gray levels of map_server: unknown, occupied, free
@@ -285,6 +287,7 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
     source = f"{TABLE['names'].get(file.driver, file.driver)} of {file.dtypes[0]}"
     scale, offset, unit = file.scales[0], file.offsets[0], file.units[0]
     words = "in metres" if unit else "unit not stated: taken as metres"
+    words += FEET * (not unit and ask.vertical_scale is None)
     if _unit(file) != 1:
         words = f"converted from {unit} ({_unit(file):.9g} m)"
     if (scale, offset) != (1, 0):
@@ -359,10 +362,11 @@ def _check_numbers(path: Path, shape: tuple[int, int], used: range) -> None:
             elif not found and len(words) == 2:  # a line of the header: a key and a number
                 keys.add(words[0].lower().removeprefix(BOM_UTF8))
             else:
+                command = f": tr , . < {shlex.quote(path.name)} > points.asc" * (b"," in wrong)
                 refuse(
                     f"numbers in line {n}",
                     repr(wrong.decode(errors="replace")[:SHOWN]),
-                    "write numbers with decimal points, separated by blanks",
+                    f"write numbers with decimal points, separated by blanks{command}",
                 )
     if not (keys >= {b"xllcorner", b"yllcorner"} or keys >= {b"xllcenter", b"yllcenter"}):
         refuse(

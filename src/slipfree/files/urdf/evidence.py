@@ -31,9 +31,10 @@ def _words(pattern: str) -> re.Pattern[str]:
 
 
 # words in names of joints, links, meshes and plugins
-WHEEL = _words("wheel|tire|tyre")
-CASTER = _words("cast[eo]r|ball_?wheel|omni_?ball")
-TRAILER = _words("cast[eo]r|trailer|hitch|drawbar|swivel")
+WHEEL = _words("wheel|tire|tyre|rueda|roue|ruota")
+FREE = "cast[eo]r|loca(?![a-z])|folle|lenkrolle"  # also in Spanish, French, Italian and German
+CASTER = _words(f"{FREE}|ball_?wheel|omni_?ball")
+TRAILER = _words(f"{FREE}|trailer|hitch|drawbar|swivel")
 STEERING = _words("steer|ackerman|knuckle|articulat")
 OMNI = _words("omni|mecanum|swedish")
 MECANUM = _words("mecanum|swedish")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -111,10 +112,14 @@ class Wheels:
         for name, message in self._unread.items():
             joint = self.tree.joints[name]
             if joint not in self.joints and joint.moves:
-                alike[message].append(joint)
-        for message, joints in alike.items():
-            line = self._radius_line(joints, usual_radius(self.tree, joints))
-            self._findings.ask(joints, f"{message}; or,", line)
+                alike[re.sub("'.*?'", "", message)].append(joint)  # with the names of the meshes
+        for joints in alike.values():
+            radius, first = usual_radius(self.tree, joints), self._unread[joints[0].name]
+            line = self._radius_line(joints, radius)
+            self._findings.ask(joints, f"{first}; or measure the radius:", line)
+            # the description of the vehicle has these wheels, too
+            self.joints += joints
+            self._given |= {joint.name: WheelRole(radius=radius) for joint in joints}
         for name, guess in sliding_wheels(self.tree, self.joints):
             self._add_guess(self.tree.joints[name], guess)
         bare = [joint for joint in self.joints if self._role(joint).rollers is None]

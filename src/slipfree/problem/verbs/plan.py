@@ -151,7 +151,7 @@ def _turns(setup: plan_setup.Planning, plan: Plan | LongPlan) -> dict[str, Fact]
         reached = float(value) + setup.dae.reported.get(name, 0.0)
         turns = round((reached - (low + high) / 2) / TURN) if high - low < TURN else 0
         if turns and not low - np.pi < reached < high + np.pi:
-            goal = spelled((low, high))
+            goal = spelled((low, high), "rad")
             rows.append(
                 {"angle": name, "turns": turns, "than": "goal", "end": reached, "goal": goal}
             )
@@ -209,8 +209,8 @@ def _turn_words(row: Mapping[str, Any]) -> str:
             "after a swing to the other side"
         )
     return (
-        f"{row['angle']} is {row['end']:.6g} rad at the end, {more} than {row['goal']}: the same "
-        "position, reached the short way"
+        f"{row['angle']} is {Fact(row['end']):.6g>deg} at the end, {more} than {row['goal']}: the "
+        "same position, reached the short way"
     )
 
 

@@ -511,7 +511,7 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     layers = build_layers(problem, terrain, vehicle, places)
     guide, starts = _guesses(problem, trip, layers, places)
     duration = duration_of(spec.duration or free_durations([t[-1] for _, t in starts]))
-    goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
+    goal = ", ".join(f"{n} {spelled(v, dae.units.get(n, ''))}" for n, v in spec.goal.items())
     words = f"plan to {goal} in {spelled(duration)} s"
     if guide.name:
         words += f"; initial guess: {guide.name} at {guide.speed:.3g} m/s"
