@@ -129,7 +129,10 @@ def read_log(
         if not t.size:
             break
         if not rows.size:
-            raise DataError(f"{path}: expected numbers in the column {names[name]!r}, found none")
+            raise DataError(
+                f"{path}: expected numbers in the column {names[name]!r}, found none; name another "
+                f"column in {where}"
+            )
         # the last row that gives this input; an input is zero after the timeout, as in robots
         last = rows[np.maximum(np.searchsorted(rows, np.arange(t.size), side="right") - 1, 0)]
         age = t - t[last]

@@ -316,7 +316,10 @@ def _first_state(task: SamplingTask, x: Array) -> Array:
     first = start_states(task.evaluate.graphs, {})
     first[task.evaluate.graphs.rows.x, 0] = task.model.local_state(x)
     if not solve_positions(task.evaluate, first).has_pose.all():
-        raise SolverError("sampling: no pose was found at this state; correct it")
+        raise SolverError(
+            "sampling: expected a state at which the vehicle stands on the ground, found no pose "
+            f"at {np.round(x, 6).tolist()}; correct its position, heading or joints"
+        )
     return first
 
 

@@ -141,7 +141,7 @@ def _friction(drawn: AtlasView) -> Figure:
     norm = BoundaryNorm(levels, scale.N, extend="max")
     for name, band, ax in zip(("best", "worst"), bands, axes, strict=True):
         _image(drawn, band.values, scale, norm, ax)
-        ax.set_title(f"Least friction, {name} heading")
+        ax.set_title(f"Least friction, {name} heading (grey: no pose)")
     axes[1].set_ylabel("")
     _bar(figure, axes, scale, norm, "least coefficient of friction [1]", extend="max")
     return figure

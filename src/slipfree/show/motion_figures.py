@@ -164,6 +164,7 @@ def ground(grid: Grid, ax: Axes) -> Axes:
     if high > low:
         ax.contour(x, y, z.T, levels=12, colors="white", linewidths=0.4, alpha=0.6)
     ground_drawing.hatch(grid, grid.filled, grid.domain, "filled holes", FILLED, ax)
+    ground_drawing.hatch(grid, grid.holes, grid.domain, "no heights", "0.4", ax)
     bar = style.side_bar(heights, ax, "height $z$ [m], relief shaded")
     bar.locator, bar.formatter = style.ticks(6), ScalarFormatter(useOffset=False)
     return ax
@@ -180,12 +181,10 @@ def ground_plot(grid: Grid, place: tuple[float, float] | None = None) -> Plot:
         )
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         ground(grid, left)
-        drawn = right.imshow(
-            slope.T, cmap="magma_r", vmin=0.0, vmax=STEEP, **ground_drawing.extent(x, y)
-        )
-        ground_drawing.shade(x, y, z, right)
-        right.set_ylabel("")
-        style.side_bar(drawn, right, "slope [deg], relief shaded", "max")
+        how = {"cmap": style.RISK, "vmin": 0.0, "vmax": STEEP, **ground_drawing.extent(x, y)}
+        drawn = right.imshow(slope.T, **how)  # without relief: its shadows look like steep ground
+        ground_drawing.map_axes(x, y, right).set_ylabel("")
+        style.side_bar(drawn, right, "slope [deg]", "max")
         if place is not None:
             for ax in (left, right):
                 ax.plot(*place, "o", mfc="white", mec="black", ms=5, label="start")

@@ -495,7 +495,7 @@ def _friction(run: Trajectory, used: Fact) -> str:
     """Return the largest utilisation of friction, or without friction the coefficient needed."""
     where = f"{used:.4g} at most ({used.words})"
     if "ground_friction" not in run.attributes:
-        return f"coefficient needed {where}; the ground has no given coefficient"
+        return f"coefficient needed {where}; none is given for the ground (terrain.friction)"
     spread = ", for the forces that this motion needs"
     if "utilisation_best" in run.columns:
         spread += ", distributed by load"
