@@ -246,7 +246,7 @@ def test_windows_of_a_large_map_give_the_same(monkeypatch):
     printed(*words, "-o", "whole.nc")
     monkeypatch.setattr(build_ground, "LARGE", 100)
     monkeypatch.setattr(paged, "SPAN", 44)
-    assert "15 of 9600 nodes have no height" in printed(*words, "-o", "parts.nc")
+    assert "15 of 9600 nodes have no height" in printed(*words, "-o", "parts.nc", "-v")
     (whole, ground), (parts, other) = map(open_atlas, ("whole.nc", "parts.nc"))
     assert whole.reasons == parts.reasons
     assert np.unique(whole["reason"]).size > 2

@@ -110,7 +110,7 @@ def atlas(
     outputs.check_outputs(outs, inputs, endings=ENDINGS, folder=figures if draw else None)
     with as_arguments():
         setup = build_atlas(problem)
-    console.print_facts(setup.facts, main=setup.facts[:1])
+    console.print_facts(setup.facts, main=[setup.facts[0], setup.facts[-1]])
     for words in setup.warnings:
         console.warn(words)
     with atlas_tiles.TileFolder(outs[0], setup, states) as tiles:

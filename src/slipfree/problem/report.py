@@ -156,10 +156,11 @@ class Description(NamedTuple):
 
     @property
     def main(self) -> Lines:
-        """Facts with guesses in short, without other notes on the vehicle file."""
+        """Facts with guesses in short and missing shapes, without other notes on the file."""
         notes = [text for name, text in self.facts if name == NOTE]
-        guesses = [text.partition("; otherwise")[0] for text in notes if text.startswith("guessed")]
-        shown = [*guesses, f"tree of parts, and all {len(notes)} notes: slipfree vehicle FILE -v"]
+        shown = [text for text in notes if text.startswith(("guessed", "clearance without"))]
+        shown = [text.partition("; otherwise")[0] for text in shown]
+        shown += [f"tree of parts, and all {len(notes)} notes: slipfree vehicle FILE -v"]
         facts = [each for each in self.facts if each[0] != NOTE]
         return facts + [(NOTE, text) for text in shown * bool(notes)]
 
