@@ -13,7 +13,15 @@ import numpy as np
 from slipfree.core.dae import Dae, Limit, PiecewiseLinear
 from slipfree.core.records import Array, Mask, Record, leaves
 from slipfree.core.trajectory import SolverError, Trajectory
-from slipfree.plan.constraints import LIMIT, constraint, number, role_of, shift_of, subject
+from slipfree.plan.constraints import (
+    LIMIT,
+    VIOLATION_TOLERANCE,
+    constraint,
+    number,
+    role_of,
+    shift_of,
+    subject,
+)
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
 from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
@@ -105,7 +113,10 @@ def verify_plan(
             worse[where[(over > allowed * REFINED_FRACTION).any(axis=0)]] = True
         if replay.stop is not None:
             # A finer mesh helps only if the simulation ended at a limit that the program contains.
-            worse[where[-1]] |= replay.stop.name in {limit.label.full for limit in limits}
+            ended = [limit for limit in limits if limit.label.full == replay.stop.name]
+            if ended:
+                worse |= exceeds_between(program, motion, ended)
+                worse[where[-1]] = True
         met = not worse.any() and all(own.max(initial=0) <= accuracy for *_, own in judged[1:])
     differences = np.abs(gaps).max(axis=1).tolist()
     return Verification(
@@ -176,11 +187,14 @@ def _excess(task: PlanTask, limits: Sequence[Limit], run: Trajectory, x: Array) 
             label = constraint(task, limit, "").label
             shift = shift_of(task, limit.expression) - dae.reported.get(label.full, 0.0)
             row[:] = run.of(label) - shift if label.name in run.columns else np.nan
-    low, high = (
-        np.array([getattr(limit, side) for limit in limits]).reshape(-1, 1)
-        for side in ("lower", "upper")
-    )
-    return np.asarray(np.fmax(np.maximum(low - values, values - high), 0.0))
+    return np.fmax(_beyond(limits, values), 0.0)
+
+
+def _beyond(limits: Sequence[Limit], values: Array) -> Array:
+    """Return how far limited quantities are beyond their limits, shape (n_limits, n)."""
+    low = np.array([limit.lower for limit in limits]).reshape(-1, 1)
+    high = np.array([limit.upper for limit in limits]).reshape(-1, 1)
+    return np.asarray(np.maximum(low - values, values - high))
 
 
 def obstacle_words(task: PlanTask, run: Trajectory, accuracy: float) -> str:
@@ -208,6 +222,19 @@ def limit_values(
     rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
     f = dae.function("limits", [dae.t, *dae.columns()], [rows])
     return np.array(f.map(t.size)(t[None], x, z, u)).reshape(len(limits), t.size)
+
+
+def exceeds_between(program: Program, motion: PolynomialMotion, limits: Sequence[Limit]) -> Mask:
+    """Return the mask of intervals on which a plan exceeds limits between its points."""
+    dae, ends = program.task.dae, program.mesh.ends
+    inside = np.linspace(0, 1, MIN_INTERVAL_SAMPLES)
+    at = (ends[:-1, None] + np.diff(ends)[:, None] * inside).ravel()
+    planned = motion.algebraic(at)
+    z = np.zeros((dae.scale.size, at.size))
+    z[: len(planned)] = planned
+    samples = at * motion.duration, motion.states(at), z, motion.inputs(at)
+    over = _beyond(limits, limit_values(dae, limits, samples)) > VIOLATION_TOLERANCE
+    return np.asarray(over.any(axis=0).reshape(ends.size - 1, -1).any(axis=1))
 
 
 def _error_sources(gaps: Array, where: Index, accuracy: float, count: int) -> Mask:

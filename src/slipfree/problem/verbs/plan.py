@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 DIFFERENCE, VIOLATION, PLAN_COST = "plan_difference_", "plan_violation_", "plan_cost_"
 ROUNDING = 1e-6  # smaller violations count as rounding, in the unit of the limit
 SLIDING = 0.95  # wheels with a larger utilisation count as sliding
+UNUSABLE = Outcome.INACCURATE, Outcome.LIMIT  # outcomes of solved plans that cannot be driven
 TIME_LIMITED = "the search ended early; the plan meets all constraints, its cost may not be least"
 ROWS = rows(
     """\
@@ -294,8 +295,10 @@ class PlanVerb(base.DriveVerb):
             plan: Plan | LongPlan, run: Trajectory
         ) -> tuple[Trajectory, Mapping[str, Array]]:
             """Return a run with facts and, if inaccurate, a stop; the plan as arrays."""
-            if run.stop is None and not plan.accurate:
-                run = replace(run, stop=_inaccurate(setup, plan))
+            stop = _inaccurate(setup, plan) if run.stop is None and not plan.accurate else run.stop
+            if stop is not None and plan.success and stop.outcome in UNUSABLE:
+                stop = stop._replace(words=stop.words + _separation_words(setup))
+            run = replace(run, stop=stop)
             run = run.with_facts({**facts_of(plan, setup), **facts})
             if isinstance(plan, LongPlan):
                 windows = Fact([window._asdict() for window in plan.windows])
@@ -450,7 +453,6 @@ def _inaccurate(setup: plan_setup.Planning, plan: Plan | LongPlan) -> trajectory
         f"no usable plan: its simulation misses {worst}; plan.accuracy allows "
         f"{spec.plan.accuracy:g}: {why}"
         + (f"; it exceeds the limit of {obstacle}" if obstacle else "")
-        + _separation_words(setup)
     )
     outcome = Outcome.INTERRUPTED if last.status == STOPPED_STATUS else Outcome.INACCURATE
     return trajectory.Stop(trajectory.PLAN_ACCURACY, float(plan.replay.t[-1]), words, outcome)
