@@ -28,7 +28,7 @@ from slipfree.atlas.friction import (
 from slipfree.batch import many
 from slipfree.batch.evaluator import Evaluator, EvaluatorOf, evaluator_of, evaluator_of_graphs
 from slipfree.batch.graph import Graph, graph_of
-from slipfree.batch.motion import COMPLETE, relax
+from slipfree.batch.motion import COMPLETE
 from slipfree.contact.nearest_points import CLEARANCE
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Parameter, SampledCheck
@@ -520,10 +520,7 @@ def tile_of(
         """Return the bands of poses with shifts of the ground under the wheels [m]."""
         evaluate = corner.evaluate
         moved = np.insert(states, [rows.c.stop] * wheels, shifts[:, None], axis=0)
-        rests = many.solve_positions(evaluate, moved)
-        if dae.rest.numel():  # to the rest that is near that of the pose
-            is_relaxed = relax(evaluate, moved)
-            rests = many.Rests(rests.has_pose & is_relaxed, np.zeros_like(is_relaxed))
+        rests = many.stand_near(evaluate, moved)  # relaxes to the rest near that of the pose
         moved[evaluate.graphs.rows.u] = states[rows.u]
         known = stands & (many.stand_checked(evaluate, moved, rests) == COMPLETE)
         bands = _quantities(corner, dae.checks, moved, tolerance)
@@ -614,7 +611,7 @@ def other_rests(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
         other = rests[0].copy()
         other[tilt] += TILT * np.array([[np.cos(turn)], [np.sin(turn)]])
         part = other[:, solved]
-        is_solved = many.solve_positions(evaluate, part).has_pose & relax(evaluate, part)
+        is_solved = many.stand_near(evaluate, part).has_pose
         other[:, solved] = np.where(is_solved, part, np.nan)
         apart = np.array([np.hypot(*(other[tilt] - each[tilt])) for each in rests])
         is_stable |= apart[0] <= SAME_REST

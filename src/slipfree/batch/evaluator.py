@@ -377,7 +377,6 @@ def _step_code(graphs: Graphs) -> str:
         "FIRST_DISTANCE": distances.start,
         "END_DISTANCES": distances.stop,
         "STATES": rows.x.stop,
-        **dict(zip(("X_ROW", "Y_ROW", "HEADING_ROW"), graphs.places, strict=True)),
         "PLACED": graphs.placing.function.numel_out(0),
         "INPUTS": rows.u.stop - rows.u.start,
         "FIRST_INPUT": rows.u.start,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import casadi as ca
@@ -43,6 +43,7 @@ STEP, RELAXING_STEP = 0.5, 0.05  # default length of a step [size of the vehicle
 TRAIL_STEP = 0.5  # longest default step [trail of a caster]
 PLAIN_STEPS = 8  # steps of Newton's method from the guess of the model
 LOWERING_STEPS = 40  # steps of a vehicle that is lowered onto the ground
+RELAXATIONS = 6  # of such a vehicle, if its states relax
 CONTACT_STEPS = 5  # Newton steps between two searches for deeper points
 DAMPED = 12  # number of such steps after which they are limited more and more
 MAX_LENGTH = 4.0  # length of a step, as the sum of the changes of positions [typical sizes]
@@ -158,7 +159,7 @@ class Rests(NamedTuple):
     """Which of n vehicles stand, and which wheels of these touch the ground only at contacts."""
 
     has_pose: Mask
-    is_clear: Mask  # only of vehicles whose pose does not relax after the search
+    is_clear: Mask
 
 
 class Placement(NamedTuple):
@@ -171,22 +172,28 @@ class Placement(NamedTuple):
     step: Callable[[Array], tuple[Array, Array]]
     # values of ``placing`` of each of the `wheel_checks` at states
     placed: Callable[[Array], Sequence[Array]]
+    # brings the states of models that relax to rest; returns which have reached it
+    relax: Callable[[Array], Mask] | None = None
 
 
 def stand(evaluate: Evaluator, states: Array) -> Rests:
     """Let the vehicle stand at given states; return which poses were found."""
-    graphs = evaluate.graphs
-    count = graphs.dae.rest.numel()
-    if not count:
-        return solve_positions(evaluate, states)
-    with np.errstate(all="ignore"):
-        first = evaluate(graphs.guess, states)[graphs.guess.parts[3]]
-        states[graphs.rows.x.stop - count : graphs.rows.x.stop] = first
-        has_pose = solve_positions(evaluate, states).has_pose & relax(evaluate, states)
-        return Rests(has_pose, np.zeros_like(has_pose))
+    guess, count = evaluate.graphs.guess, evaluate.graphs.dae.rest.numel()
+    if count:
+        end = evaluate.graphs.rows.x.stop
+        states[end - count : end] = evaluate(guess, states)[guess.parts[3]]
+    return stand_near(evaluate, states)
 
 
-def solve_positions(evaluate: Evaluator, states: Array) -> Rests:
+def stand_near(evaluate: Evaluator, states: Array) -> Rests:
+    """Let the vehicle stand as `stand`; states that relax begin at their given values."""
+    relaxes = evaluate.graphs.dae.rest.numel() > 0
+    return solve_positions(evaluate, states, partial(relax, evaluate) if relaxes else None)
+
+
+def solve_positions(
+    evaluate: Evaluator, states: Array, relaxing: Callable[[Array], Mask] | None = None
+) -> Rests:
     """Solve the positions of states for the other rows by `find_rests`, from the model's guess."""
     graphs, placing = evaluate.graphs, evaluate.graphs.placing
     wheels = [graphs.checks.index(check) for check in wheel_checks(graphs.dae)]
@@ -203,7 +210,7 @@ def solve_positions(evaluate: Evaluator, states: Array) -> Rests:
         guess = evaluate(graphs.guess, states)
         for rows, part in zip(graphs.rows.z, graphs.guess.parts[:3], strict=True):
             states[rows] = guess[part]
-        return find_rests(Placement(graphs.dae, graphs.rows.p, step, placed), states)
+        return find_rests(Placement(graphs.dae, graphs.rows.p, step, placed, relaxing), states)
 
 
 def wheel_checks(dae: Dae) -> list[WheelCheck]:
@@ -216,24 +223,28 @@ def wheel_checks(dae: Dae) -> list[WheelCheck]:
 def find_rests(placement: Placement, states: Array) -> Rests:
     """Solve the positions of vehicles at rest from the first positions in their states.
 
-    Newton's method starts there. Where it fails, or a wheel is in the ground apart from its
-    contact, the vehicle is lowered onto the ground from several poses, one after the other. Poses
-    that penetrate the ground are kept only if no other pose was found. The positions of a vehicle
-    that does not stand are those of the last step.
+    Newton's method starts there, and states that relax follow. Where this fails, or a wheel is in
+    the ground apart from its contact, the vehicle is lowered onto the ground from several poses,
+    one after the other. Poses that penetrate the ground are kept only if no other pose was found.
+    The positions of a vehicle that does not stand are those of the last step.
     """
-    p, first = placement.p, states[placement.p].copy()
-    wheels = wheel_checks(placement.dae)
-    rows = {label.full: p.start + k for k, label in enumerate(leaves(placement.dae.labels.z[0]))}
+    p, relax, dae, first = placement.p, placement.relax, placement.dae, states.copy()
+    wheels = wheel_checks(dae)
+    rows = {label.full: p.start + k for k, label in enumerate(leaves(dae.labels.z[0]))}
+    if relax:
+        rows |= {name: dae.state_rows(name)[0] for name in ("z", "roll", "pitch")}
     angles = [rows[name] for name in ("roll", "pitch") if name in rows]
     has_pose = _newton(placement, states, PLAIN_STEPS, np.inf)
+    if relax:
+        has_pose = relax(states)
     is_clear = _clear(placement, wheels, states, has_pose)
     for attempt, tilt in enumerate(TILTS if wheels and angles else TILTS[:1]):
         lanes = np.flatnonzero(~is_clear)
         if not lanes.size:
             break
         # lowered from the worst penetration of a pose in the ground, else from the guess
-        part, is_kept = states[:, lanes], has_pose[lanes] & (attempt == 0)
-        part[p] = np.where(is_kept, part[p], first[:, lanes])
+        is_kept = has_pose[lanes] & (attempt == 0)
+        part = np.where(is_kept, states[:, lanes], first[:, lanes])
         part[angles] += np.reshape(tilt[: len(angles)], (-1, 1))
         rests = _lower(placement, wheels, rows, part)
         is_better = rests.is_clear | ~has_pose[lanes]
@@ -249,14 +260,17 @@ def _lower(
     """Lower vehicles onto the ground.
 
     Each wheel has one contact, the point of its tread that is deepest in the ground. Newton steps
-    put the contacts on the ground; a contact leaves when another point of the wheel is deeper.
-    Wheels without a check keep their contacts.
+    put the contacts on the ground, and states relax; a contact leaves when another point of the
+    wheel is deeper. Wheels without a check keep their contacts.
     """
     size = placement.dae.size
     contacts = [[rows[f"contact_{a}[{check.label.wheel}]"] for a in "xy"] for check in wheels]
     has_pose, is_clear = np.zeros((2, states.shape[1]), dtype=bool)
-    for k in range(LOWERING_STEPS):
-        lanes = np.flatnonzero(~is_clear)
+    for k in range(RELAXATIONS if placement.relax else LOWERING_STEPS):
+        # what does not come to rest is left, since it overturns
+        lanes = np.flatnonzero(~is_clear & has_pose if k and placement.relax else ~is_clear)
+        if not lanes.size:
+            break
         part = states[:, lanes]
         deepest = [c.deepest(at) for c, at in zip(wheels, placement.placed(part), strict=True)]
         if k == 0 and wheels and "z" in rows:
@@ -266,11 +280,12 @@ def _lower(
             is_moved = (np.abs(gap) > CONTACT * size) & (is_apart | (k == 0))
             part[contact] = np.where(is_moved, foot, part[contact])
         longest = MAX_LENGTH * min(1.0, DAMPED / (k + 1))
-        has_pose[lanes] = _newton(placement, part, CONTACT_STEPS, longest)
+        if placement.relax:
+            has_pose[lanes] = placement.relax(part)
+        else:
+            has_pose[lanes] = _newton(placement, part, CONTACT_STEPS, longest)
         is_clear[lanes] = _clear(placement, wheels, part, has_pose[lanes])
         states[:, lanes] = part
-        if is_clear.all():
-            break
     return Rests(has_pose, is_clear)
 
 

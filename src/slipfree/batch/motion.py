@@ -337,7 +337,7 @@ def _drive_plainly(
                 if numbers.estimated:  # with the inputs of this interval
                     slopes[:, here] = derivatives(evaluate, a[:, here])[0]
                     which = np.concatenate([going, here])
-                    parts = (each[:, which] for each in (before, means, a, slopes))
+                    parts = (each[:, which] for each in (before, means, slopes, sums))
                     step = _Step(*(each[..., which] for each in last))
                     sums[:, which] += _step_errors(evaluate, step, *parts)
                 if not going.size:
@@ -355,22 +355,18 @@ def _drive_plainly(
         alive = run.reason == COMPLETE
         run.samples[k, :kept, alive] = a[:kept, alive].T
         if numbers.estimated:
-            x, y, heading = evaluate.graphs.places
-            # an error of the heading turns the path about the origin: see `_step_errors`
-            errors = sums.copy()
-            errors[x] -= sums[heading] * a[y]
-            errors[y] += sums[heading] * a[x]
-            run.samples[k, kept:, alive] = errors[:, alive].T
+            run.samples[k, kept:, alive] = sums[:, alive].T
 
 
 def _step_errors(
-    evaluate: Evaluator, step: _Step, rates: Array, mean: Array, end: Array, slope: Array
+    evaluate: Evaluator, step: _Step, rates: Array, mean: Array, slope: Array, sums: Array
 ) -> Array:
     """Return the errors of steps: the integral of the defect on the cubic path by the 3/8 rule.
 
-    ``rates`` and ``slope`` are those at the begins and ends. The errors of ``x`` and ``y`` get the
-    part that is due to the error of the heading when the path is turned about its origin; at any
-    later point the error of the heading times its coordinates is to be subtracted.
+    ``rates`` and ``slope`` are those at the begins and ends, and ``sums`` the errors before. The
+    defect is evaluated beside the path, at the states with their errors, so that it has the rates
+    of these errors as well. At the ends of the path, with a quarter of the weights of the rule,
+    there is no defect and no displacement: the other points are displaced by 4/3 of the errors.
     """
     rows, h = evaluate.graphs.rows, step.h
     moving = slice(0, rows.q.stop)
@@ -379,13 +375,10 @@ def _step_errors(
         at, d = step.states.copy(), 1 - c
         parts = c * d**2 * rates, c**2 * (3 - 2 * c) * mean, -(c**2) * d * slope
         at[moving] += h * sum(parts)
+        at[rows.x] += 4 / 3 * sums
         at[rows.t] += c * h
         errors += 0.375 * derivatives(evaluate, at)[0][rows.x]
-    errors *= h
-    x, y, heading = evaluate.graphs.places
-    errors[x] += errors[heading] * end[y]
-    errors[y] -= errors[heading] * end[x]
-    return np.asarray(errors)
+    return np.asarray(h * errors)
 
 
 class _Ends:
@@ -737,7 +730,7 @@ def relax(evaluate: Evaluator, states: Array) -> Mask:
     """
     dae, rows = evaluate.graphs.dae, evaluate.graphs.rows
     relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)
-    size = dae.sizes.x[relaxing, None]
+    size, tilt = dae.sizes.x[relaxing, None], dae.state_rows("roll", "pitch")
     at_rest = np.zeros(states.shape[1], dtype=bool)
     states[rows.u] = 0.0
     lanes, part, h = np.arange(at_rest.size), states.copy(), np.full(at_rest.size, FIRST_STEP)
@@ -751,9 +744,10 @@ def relax(evaluate: Evaluator, states: Array) -> Mask:
         done = (length < AT_REST) & (h > 1.0) & good
         # steps that always grow miss many poses on rough ground
         h = np.where(length > GROWING, np.maximum(STEP_LOSS * h, LEAST_STEP), STEP_GROWTH * h)
-        if done.any():
-            states[:, lanes[done]], at_rest[lanes[done]] = part[:, done], True
-            lanes, part, h = lanes[~done], _of(~done, part), h[~done]
+        going = ~done & (np.cos(part[tilt]).prod(axis=0) > 0)  # others overturn
+        if not going.all():
+            states[:, lanes[~going]], at_rest[lanes[done]] = part[:, ~going], True
+            lanes, part, h = lanes[going], part[:, going], h[going]
             if not lanes.size:
                 break
     states[:, lanes] = part

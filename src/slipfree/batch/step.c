@@ -119,14 +119,11 @@ static void assign_lane(Point *to, long l, const Point *from, long k) {
 }
 
 #ifdef BEFORE
-/* Add the errors of a step of lanes: the integral of the defect on the cubic path by the 3/8 rule.
- *
- * `k2` are the rates at the end. The errors of x and y get the part
- * that is due to the error of the heading when the path is turned about its origin; at any later
- * point the error of the heading times its coordinates is to be subtracted.
+/* Add the errors of a step of lanes: the integral of the defect beside the cubic path by the 3/8 rule, as
+ * `_step_errors` of motion.py. `k2` are the rates at the end.
  */
-static void add_errors(const Point *at, const vd *mean, const vd *end, const vd *k2, vd h, vd *sums,
-                       const double *K, const Cells *cells) {
+static void add_errors(const Point *at, const vd *mean, const vd *k2, vd h, vd *sums, const double *K,
+                       const Cells *cells) {
   vd z[ROWS], r[RESULTS], e[STATES];
   const vd *a = at->state, *k1 = at->rates;
   for (int i = 0; i < STATES; i++) e[i] = SPLAT(0.125) * (k1[i] + k2[i]) - mean[i];
@@ -135,14 +132,12 @@ static void add_errors(const Point *at, const vd *mean, const vd *end, const vd 
     memcpy(z, a, sizeof z);
     for (int i = 0; i < MOVING; i++)
       z[i] = a[i] + h * (splat(c * d * d) * k1[i] + splat(c * c * (3 - 2 * c)) * mean[i] - splat(c * c * d) * k2[i]);
+    for (int i = 0; i < STATES; i++) z[i] = z[i] + SPLAT(4.0 / 3.0) * at->errors[i];
     z[TIME] = a[TIME] + splat(c) * h;
     eval_slopes(z, r, K, cells);
     for (int i = 0; i < STATES; i++) e[i] = e[i] + SPLAT(0.375) * r[i];
   }
-  for (int i = 0; i < STATES; i++) e[i] = h * e[i];
-  e[X_ROW] = e[X_ROW] + e[HEADING_ROW] * end[Y_ROW];
-  e[Y_ROW] = e[Y_ROW] - e[HEADING_ROW] * end[X_ROW];
-  for (int i = 0; i < STATES; i++) sums[i] = at->errors[i] + e[i];
+  for (int i = 0; i < STATES; i++) sums[i] = at->errors[i] + h * e[i];
 }
 #endif
 
@@ -214,8 +209,6 @@ static void record(const Run *run, long lane, long k, const Point *at, const vd 
   if (!run->estimated) return;
   row += run->kept;
   for (int i = 0; i < STATES; i++) row[i] = at->errors[i][l];
-  row[X_ROW] -= at->errors[HEADING_ROW][l] * at->state[Y_ROW][l];
-  row[Y_ROW] += at->errors[HEADING_ROW][l] * at->state[X_ROW][l];
 }
 
 /* Store the end of a lane after its sample k - 1. */
@@ -350,7 +343,7 @@ void drive(long from, long to, const Run *run, const double *K, const Cells *cel
     accepted = inside(busy & solved, end.state, r, run->rounding, &ends);
     end.speed = r[SPEED];
 #ifdef BEFORE
-    if (run->estimated) add_errors(&at, mean, end.state, r + BEFORE, h, end.errors, K, cells);
+    if (run->estimated) add_errors(&at, mean, r + BEFORE, h, end.errors, K, cells);
 #endif
     for (long l = 0; l < LANES; l++) {
       if (!busy[l] || accepted[l]) continue;

@@ -100,7 +100,9 @@ def rollouts(
         in lower case or ``"failed"`` if it has no start, the message of its stop or error, and the
         time that it reached, which may lie between two samples. [s] ``error``, of the batch only,
         estimates the error of ``x`` and ``y`` at the last sample of a run [m], and ``error_STATE``
-        that of each state, such as ``error_heading``. Runs in which Newton's method does not follow
+        that of each state, such as ``error_heading``. The former is between 0.3 and 3 times the
+        error for 95 % of the runs, the latter, where errors may vanish, for 86 to 99 %, with
+        pressed wheels or creep for 78 to 92 %. Runs in which Newton's method does not follow
         the contacts are simulated, and have no estimate.
 
     Raises
