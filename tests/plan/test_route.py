@@ -19,19 +19,14 @@ from slipfree.core.errors import ModelError
 from slipfree.geometry.regions import Region
 from slipfree.routing import search as search
 from slipfree.routing.search import (
+    SLIDING,
     homotopy_class,
     obstacle_points,
     route,
     routes,
     separation_words,
 )
-from slipfree.routing.traversability import (
-    SLIDING,
-    STEEP,
-    blocking_reasons,
-    free_space,
-    traversability,
-)
+from slipfree.routing.traversability import STEEP, blocking_reasons, free_space, traversability
 from slipfree.system import codegen_cache
 from slipfree.terrain.synthetic import blank, craters
 

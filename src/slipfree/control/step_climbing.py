@@ -33,12 +33,19 @@ from annotated_types import Ge, Gt, Lt, Unit, doc
 
 from slipfree.catalog import check_climber
 from slipfree.control.path_following import driven_vehicle
-from slipfree.core import rearrange
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.quantities import quantity_label
-from slipfree.core.rearrange import ModelVariable, new_variable, substitute, variables, with_outputs
+from slipfree.core.rearrange import (
+    ModelVariable,
+    blocks,
+    new_variable,
+    rearrange,
+    substitute,
+    variables,
+    with_outputs,
+)
 from slipfree.core.records import Label, leaves, symbols
 from slipfree.models.limits import UPRIGHT
 from slipfree.terrain.solids import Profile
@@ -199,9 +206,7 @@ def controlled(model: Dae, controller: ControlLaw, *, sampled: bool = False) -> 
     driven, standing, held = substitute(model, inputs, laws), model.standing, model.held
     x, z, u = variables(driven)
     own = (x, controller.states), z, (u if sampled else (), controller.inputs)
-    dae = with_outputs(
-        rearrange.rearrange(driven, *own, rearrange.blocks(driven)), controller.outputs
-    )
+    dae = with_outputs(rearrange(driven, *own, blocks(driven)), controller.outputs)
     if standing is not None:  # the controller starts with states of zero
         zeros = ca.SX.zeros(len(controller.states))
         standing = standing._replace(x=ca.vertcat(standing.x, zeros))

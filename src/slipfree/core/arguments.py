@@ -9,13 +9,23 @@ from __future__ import annotations
 
 import inspect
 import sys
-import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, wraps
 from math import inf, pi
 from numbers import Integral, Real
 from types import NoneType, SimpleNamespace, UnionType
-from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import casadi as ca
 import numpy as np
@@ -31,7 +41,7 @@ MAX_SHOWN = 60  # characters of a value in a message
 PACKAGE = "slipfree."  # of callers whose angles are not asked about
 BY_NAME = "values by name of a quantity of the model, in its unit"  # mark of an annotation
 ASCENDING = "a smallest and a largest value"  # mark of an annotation
-F = typing.TypeVar("F", bound=Callable[..., Any])
+F = TypeVar("F", bound=Callable[..., Any])
 WORDS: dict[Any, str] = {
     float: "a number",
     int: "an integer",
@@ -61,7 +71,7 @@ class _Wrong(Exception):  # noqa: N818 - becomes a ModelError
         self.remedy = remedy or REMEDIES.get(expected, "")
 
 
-class _Context(typing.NamedTuple):
+class _Context(NamedTuple):
     symbolic: bool  # whether expressions stand for numbers, as in records
     units: Mapping[str, str] | None  # of the quantities of the model; None to take any angle
 

@@ -28,13 +28,23 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slipfree.core import trajectory
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import decode
 from slipfree.core.outcome import Outcome
 from slipfree.core.quantities import QUANTITIES, quantity_label
 from slipfree.core.records import Array, Label
-from slipfree.core.trajectory import FACTS, FRAME, OUTCOME, STATISTICS, STOP, Column, Trajectory
+from slipfree.core.trajectory import (
+    FACTS,
+    FRAME,
+    OUTCOME,
+    STATISTICS,
+    STOP,
+    TIME,
+    WHEELS,
+    Column,
+    Stop,
+    Trajectory,
+)
 from slipfree.core.version import __version__
 from slipfree.files.tables import write_rows
 from slipfree.system import regular_files
@@ -42,7 +52,7 @@ from slipfree.system import regular_files
 DEGREES = ("longitude", "latitude")
 MAP_TRANSFORM = "map_transform"  # attribute of a result: its map coordinates as JSON
 MAP_CRS = "map_crs"  # attribute of a result: EPSG code or WKT of the map file
-TIME_ATTRIBUTES = trajectory.TIME | {
+TIME_ATTRIBUTES = TIME | {
     "units": "seconds since 2000-01-01 00:00:00",
     "calendar": "standard",
     "units_metadata": "leap_seconds: none",
@@ -216,7 +226,7 @@ def write(
                 file.createDimension("strlen", length)
                 wheel = file.createVariable("wheel", "c", ("wheel", "strlen"))
                 wheel[:] = np.array(names, f"S{length}").view("S1").reshape(len(names), length)
-                annotate(wheel, {**trajectory.WHEELS, "_Encoding": "utf-8"})
+                annotate(wheel, {**WHEELS, "_Encoding": "utf-8"})
             if is_trajectory(run):
                 number = file.createVariable(TRAJECTORY, "i4", ())
                 number[...] = 1
@@ -463,7 +473,7 @@ def _trajectory(file: NetcdfFile) -> Trajectory:
         if outcome.upper() not in Outcome.__members__:
             found = f"the unknown outcome {outcome!r}" if outcome else f"no attribute {OUTCOME!r}"
             raise result_fault(file.path, found)
-        stop = trajectory.Stop(name, file.number(STOP[1]), words, Outcome[outcome.upper()])
+        stop = Stop(name, file.number(STOP[1]), words, Outcome[outcome.upper()])
     try:
         facts = decode(str(stored.get(FACTS, "{}")))
     except ValueError as error:

@@ -18,7 +18,18 @@ from math import inf, pi
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple, get_args, get_origin
 
-import pydantic
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    PlainValidator,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    create_model,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from slipfree.core.arguments import MAX_NUMBER, WithUnit, degrees_question
@@ -252,7 +263,7 @@ def value_errors(value: Any, place: Place = ()) -> Iterator[Fault]:
         yield Fault(place, expected, format_value(value))
 
 
-def validation_fault(schema: type[pydantic.BaseModel], data: Any, error: dict[str, Any]) -> Fault:
+def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) -> Fault:
     """Return an error of pydantic in the ``data`` of a file as a `Fault`: key and both values."""
     place, kind = tuple(error["loc"]), error["type"]
     found = "none" if kind == "missing" else format_value(error["input"])
@@ -263,7 +274,7 @@ def validation_fault(schema: type[pydantic.BaseModel], data: Any, error: dict[st
         return Fault(place, "a number", found)
     if kind == "missing":
         wanted = record_at(schema, place[:-1], data).model_fields[place[-1]].annotation
-        table = isinstance(wanted, type) and issubclass(wanted, pydantic.BaseModel)
+        table = isinstance(wanted, type) and issubclass(wanted, BaseModel)
         table |= str(wanted).startswith("dict")
         return Fault(place, f"a table [{place[-1]}]" if table else "a value", found)
     words = ERRORS["expected"].get(kind)
@@ -298,8 +309,8 @@ def record_at(schema: type[Any], place: Place, data: Any) -> type[Any]:
     return model
 
 
-def _records(annotation: Any) -> Iterator[type[pydantic.BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
+def _records(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in get_args(annotation):
         yield from _records(part)
@@ -436,12 +447,10 @@ MAX_FRICTION = 10.0  # larger coefficients are probably percent
 Piecewise = tuple[tuple[float, float], ...]
 
 
-class Record(pydantic.BaseModel):
+class Record(BaseModel):
     """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
 
-    model_config = pydantic.ConfigDict(
-        strict=True, extra="forbid", frozen=True, allow_inf_nan=False
-    )
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
     removed_keys: ClassVar[Mapping[str, str]] = {}  # remedies for keys of earlier versions
 
     @classmethod
@@ -463,9 +472,9 @@ class Record(pydantic.BaseModel):
         """Return the keys that messages about unknown keys list."""
         return [*cls.model_fields]
 
-    @pydantic.model_validator(mode="wrap")
+    @model_validator(mode="wrap")
     @classmethod
-    def _by_contents(cls, data: Any, handler: pydantic.ModelWrapValidatorHandler[Record]) -> Record:
+    def _by_contents(cls, data: Any, handler: ModelWrapValidatorHandler[Record]) -> Record:
         """Validate a table by the schema for its contents."""
         schema = cls.schema_for(data)
         return handler(data) if schema is cls else schema.model_validate(data)
@@ -506,8 +515,8 @@ def parse_unit(value: Any) -> Any:
     return KINDS[match[3]](number * pi / 180 if match[2] == "deg" else number)
 
 
-def _reader(unit: type[WithUnit], text: str) -> pydantic.WrapValidator:
-    def read(value: Any, validate: pydantic.ValidatorFunctionWrapHandler) -> float:
+def _reader(unit: type[WithUnit], text: str) -> WrapValidator:
+    def read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
         parsed = parse_unit(value)
         if not isinstance(parsed, WithUnit):
             if isinstance(parsed, str):
@@ -519,7 +528,7 @@ def _reader(unit: type[WithUnit], text: str) -> pydantic.WrapValidator:
         validate(float(parsed))
         return parsed
 
-    return pydantic.WrapValidator(read)
+    return WrapValidator(read)
 
 
 WITH_UNIT = _reader(WithUnit, EXAMPLE)
@@ -527,16 +536,16 @@ Quantity = Annotated[float, WITH_UNIT]  # `unit_faults` checks the unit, which d
 IN_RADIANS = _reader(AngleWithUnit, 'a number, or text as in "30 deg"')
 IN_RADIANS_PER_SECOND = _reader(RateWithUnit, 'a number, or text as in "5 deg/s"')
 Angle = Annotated[float, IN_RADIANS]
-Positive = Annotated[float, pydantic.Field(gt=0)]
-NonNegative = Annotated[float, pydantic.Field(ge=0)]
-Count = Annotated[int, pydantic.Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=0)]
 # arrays are read as tuples; types of elements are not converted
-Pair = Annotated[tuple[float, float], pydantic.Field(strict=False)]
-Point = Annotated[tuple[float, float, float], pydantic.Field(strict=False)]
-Column = Annotated[tuple[float, ...], pydantic.Field(strict=False)]
-Angles = Annotated[tuple[Angle, ...], pydantic.Field(strict=False)]
-Window = Annotated[tuple[float, float, float, float], pydantic.Field(strict=False)]
-Rock = Annotated[tuple[float, float, float, float], pydantic.Field(strict=False)]
+Pair = Annotated[tuple[float, float], Field(strict=False)]
+Point = Annotated[tuple[float, float, float], Field(strict=False)]
+Column = Annotated[tuple[float, ...], Field(strict=False)]
+Angles = Annotated[tuple[Angle, ...], Field(strict=False)]
+Window = Annotated[tuple[float, float, float, float], Field(strict=False)]
+Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 
 def unit_faults(
@@ -570,7 +579,7 @@ def in_radians(value: float) -> float:
 
 
 ANGULAR = {  # angles and rates may have a unit; a bare angle of more than a full turn is an error
-    "rad": (IN_RADIANS, pydantic.AfterValidator(in_radians)),
+    "rad": (IN_RADIANS, AfterValidator(in_radians)),
     "rad/s": (IN_RADIANS_PER_SECOND,),
 }
 
@@ -587,7 +596,7 @@ def record_of(
     keys: dict[str, Any] = {
         key.name: (
             _toml_type(key),
-            pydantic.Field(
+            Field(
                 default=... if key.default is MISSING else key.default, description=key.description
             ),
         )
@@ -597,20 +606,20 @@ def record_of(
     meaning = meaning or (kind.__doc__ or "").partition("\n")[0]
     name = kind.__name__
     name = name if isinstance(kind, type) else name.title().replace("_", "")
-    return pydantic.create_model(name, __base__=base, __doc__=meaning, **keys)
+    return create_model(name, __base__=base, __doc__=meaning, **keys)
 
 
 def decoded(kind: Callable[..., Any]) -> Any:
     """Return the type of a table that is decoded into a dataclass with annotated fields."""
-    made = pydantic.AfterValidator(lambda table: kind(**given_values(table)))
+    made = AfterValidator(lambda table: kind(**given_values(table)))
     return Annotated[record_of(kind), made]
 
 
 def _toml_type(key: Key) -> Any:
     plain = getattr(key.hint, "__origin__", key.hint)
     if tuple in (plain, get_origin(plain)):
-        return Annotated[key.hint, pydantic.Field(strict=False)]
-    return Annotated[key.hint, *ANGULAR.get(key.unit, (pydantic.Field(),))]
+        return Annotated[key.hint, Field(strict=False)]
+    return Annotated[key.hint, *ANGULAR.get(key.unit, (Field(),))]
 
 
 def given_values(table: Record) -> dict[str, Any]:
@@ -654,7 +663,7 @@ def _piecewise_constant(value: Any) -> float | Piecewise:
     return tuple((float(t), _number(rate)) for t, rate in pairs)
 
 
-def _or_text(expected: str) -> pydantic.PlainValidator:
+def _or_text(expected: str) -> PlainValidator:
     """Return a validator of a piecewise-constant function, or a text that names or describes it."""
 
     def read(value: Any) -> float | Piecewise | str:
@@ -665,7 +674,7 @@ def _or_text(expected: str) -> pydantic.PlainValidator:
             raise expected_error(expected)
         return _piecewise_constant(value)
 
-    return pydantic.PlainValidator(read)
+    return PlainValidator(read)
 
 
 def _range(value: Any) -> tuple[float, float]:
@@ -690,7 +699,7 @@ def coefficient(value: Any) -> float | str:
     raise expected_error(f"a number greater than 0, {percent}or the name of a file in quotes")
 
 
-def one_of(known: Collection[str]) -> pydantic.AfterValidator:
+def one_of(known: Collection[str]) -> AfterValidator:
     """Return a validator that accepts the names among ``known``, which may change later."""
 
     def check(name: str) -> str:
@@ -698,7 +707,7 @@ def one_of(known: Collection[str]) -> pydantic.AfterValidator:
             raise expected_error(f"one of {', '.join(known)}")
         return name
 
-    return pydantic.AfterValidator(check)
+    return AfterValidator(check)
 
 
 def not_zero(value: float) -> float:
@@ -708,9 +717,9 @@ def not_zero(value: float) -> float:
     return value
 
 
-PiecewiseConstant = Annotated[Any, pydantic.PlainValidator(_piecewise_constant)]
+PiecewiseConstant = Annotated[Any, PlainValidator(_piecewise_constant)]
 PiecewiseConstantOrFile = Annotated[Any, _or_text(PAIRS)]
 TimeFunction = Annotated[
     Any, _or_text("a number, an array of [time, value] pairs, or a formula of t in quotes")
 ]
-Range = Annotated[Any, pydantic.PlainValidator(_range)]
+Range = Annotated[Any, PlainValidator(_range)]

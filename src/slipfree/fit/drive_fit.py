@@ -21,9 +21,20 @@ import numpy as np
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, Mask, Names
-from slipfree.fit import estimate as estimation
 from slipfree.fit.drives import DriveLog, Windows, age_of_poses, windows_of
-from slipfree.fit.estimate import REWEIGHTINGS, Estimate, Interval, Prediction, Residuals, Sought
+from slipfree.fit.estimate import (
+    MIN_ACCEPTED,
+    NORMAL_MEDIAN,
+    REWEIGHTINGS,
+    Estimate,
+    Interval,
+    Prediction,
+    Priors,
+    Residuals,
+    Sought,
+    bootstrap,
+    inner_bounds,
+)
 from slipfree.fit.ground_slope import Slopes
 from slipfree.fit.prediction import Model, Predictor, WindowErrors
 from slipfree.fit.unknowns import BALANCE, Unknown, check_nominal
@@ -120,10 +131,8 @@ def sought_of(model: Model) -> Sought:
         means[k], sizes[k] = each.prior or (start[k], row.deviation)
         if each.prior and row.is_log:
             means[k], sizes[k] = np.log(means[k]), sizes[k] / means[k]
-    bounds = estimation.inner_bounds(scale.sought(np.array(limits).T).T, sizes)
-    return Sought(
-        tuple(labels), start, bounds, sizes, estimation.Priors(np.arange(sizes.size), means, sizes)
-    )
+    bounds = inner_bounds(scale.sought(np.array(limits).T).T, sizes)
+    return Sought(tuple(labels), start, bounds, sizes, Priors(np.arange(sizes.size), means, sizes))
 
 
 def fit_drives(
@@ -158,12 +167,12 @@ def fit_drives(
         try:
             values = search.run(values, xtol=1e-4, ftol=1e-5, max_nfev=most).x
         except KeyboardInterrupt:
-            if not interrupt_requested() or len(search.accepted) < estimation.MIN_ACCEPTED:
+            if not interrupt_requested() or len(search.accepted) < MIN_ACCEPTED:
                 raise
             values, is_interrupted = search.accepted[-1], True
             break
         if deviations is None:
-            found = np.median(np.abs(errors(values).values), axis=0) / estimation.NORMAL_MEDIAN
+            found = np.median(np.abs(errors(values).values), axis=0) / NORMAL_MEDIAN
             spread, before = np.maximum(found, LEAST_DEVIATION), spread
             if np.allclose(spread, before, rtol=SAME_DEVIATION):
                 break
@@ -482,7 +491,7 @@ def by_logs(values: Array, log: Indices, statistic: Callable[[Array], float]) ->
     if names.size == 1:
         return Interval(statistic(values), np.nan, np.nan)
     rows = [np.flatnonzero(log == each) for each in names]
-    return estimation.bootstrap(
+    return bootstrap(
         np.arange(names.size),
         lambda drawn: statistic(values[np.concatenate([rows[k] for k in drawn.tolist()])]),
         RESAMPLES,

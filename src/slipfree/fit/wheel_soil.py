@@ -18,8 +18,19 @@ from annotated_types import Ge, Le
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices
-from slipfree.fit import estimate as estimation
-from slipfree.fit.estimate import REWEIGHTINGS, Estimate, Interval, Prediction, Residuals, bootstrap
+from slipfree.fit.estimate import (
+    EDGES,
+    NORMAL_MEDIAN,
+    REWEIGHTINGS,
+    Estimate,
+    Interval,
+    Prediction,
+    Priors,
+    Residuals,
+    Sought,
+    bootstrap,
+    inner_bounds,
+)
 from slipfree.fit.unknowns import Unknown, check_nominal, law_constants, law_limits
 from slipfree.laws.soil import STEADY_CREEP, Soil, WheelSize, forces_at_speeds
 from slipfree.models.single_wheel import WheelRuns
@@ -206,11 +217,7 @@ def fit_soil(
         if not interrupt_requested():
             raise
         is_interrupted = True
-    resampled = (
-        np.quantile(draws, estimation.EDGES, axis=0).T
-        if draws
-        else np.full((values.size, 2), np.nan)
-    )
+    resampled = np.quantile(draws, EDGES, axis=0).T if draws else np.full((values.size, 2), np.nan)
     return SoilFit(
         problem.estimate(values, deviations)._replace(is_interrupted=is_interrupted),
         replace(soil, **dict(zip(problem.names, values.tolist(), strict=True))),
@@ -284,10 +291,8 @@ class SoilProblem:
         ]
         scales, constants = np.array(sizes), law_constants(soil)
         labels = tuple(replace(constants[each.quantity], name=each.name) for each in unknowns)
-        bounds = estimation.inner_bounds(limits, scales)
-        self._sought = estimation.Sought(
-            labels, self.nominal, bounds, scales, estimation.Priors.of(unknowns)
-        )
+        bounds = inner_bounds(limits, scales)
+        self._sought = Sought(labels, self.nominal, bounds, scales, Priors.of(unknowns))
         self._model = WheelModel(soil, size, unknowns, gravity)
 
     def predict(self, runs: WheelRuns, values: Array) -> Prediction:
@@ -316,7 +321,7 @@ class SoilProblem:
     def _deviations(self, missed: Array) -> Array:
         """Return robust deviations of residuals, at least those of repeats."""
         missed = np.where(np.isfinite(missed).any(axis=0), missed, 0)  # no quantity without values
-        robust = np.nanmedian(np.abs(missed), axis=0) / estimation.NORMAL_MEDIAN
+        robust = np.nanmedian(np.abs(missed), axis=0) / NORMAL_MEDIAN
         return np.fmax(np.fmax(robust, self._spread), self._least)
 
     def estimate(self, values: Array, deviations: Array) -> Estimate:

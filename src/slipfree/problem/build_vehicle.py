@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 from slipfree.contact.closure import check_couplings
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
-from slipfree.files import vehicle_toml
 from slipfree.files.toml import Fault, Place, name_errors
 from slipfree.files.urdf import xacro
 from slipfree.files.urdf.elements import read_tree
@@ -25,7 +24,17 @@ from slipfree.files.urdf.reader import forward_guess, read_urdf
 from slipfree.files.urdf.roles import NO_ROLES, UrdfTable, completed
 from slipfree.files.urdf.tree import Tree
 from slipfree.files.urdf.xml import check_ending, is_description, parse_robot
-from slipfree.files.vehicle_toml import PARTS, Draft, File, VehicleError, couple_errors, open_file
+from slipfree.files.vehicle_toml import (
+    PARTS,
+    Draft,
+    File,
+    Guess,
+    VehicleError,
+    couple_errors,
+    open_file,
+    read_toml,
+    validated,
+)
 from slipfree.geometry.mesh import TriangleMesh
 from slipfree.problem import schema
 from slipfree.problem.build_ground import at
@@ -144,7 +153,7 @@ def guessed_completion(path: Path, folder: Path, trust: Sequence[Path] = ()) -> 
             f"{path}: expected a URDF or xacro file with --write, found another kind of file; "
             "name a URDF, or omit --write"
         )
-    tables: dict[str, dict[str, vehicle_toml.Guess]] = {"": {}, "wheels": {}, "joints": {}}
+    tables: dict[str, dict[str, Guess]] = {"": {}, "wheels": {}, "joints": {}}
     for guess in _draft(path, xacro.trusted_paths(trust))[0].guesses:
         known = tables[guess.table].get(guess.name)
         if known is not None:
@@ -175,8 +184,8 @@ def _draft(path: Path, trusted: frozenset[str]) -> tuple[Draft, Robot | None]:
     if path.suffix.lower() == ".toml":
         file = open_file(path)
         if "urdf" not in file.data:
-            return vehicle_toml.read_toml(file), None
-        table: UrdfTable = vehicle_toml.validated(UrdfTable, file)  # it completes a URDF
+            return read_toml(file), None
+        table: UrdfTable = validated(UrdfTable, file)  # it completes a URDF
         draft, robot = _urdf(path.parent / table.urdf, trusted, (table, file))
         return draft if table.name is None else replace(draft, name=table.name), robot
     raise DataError(

@@ -25,8 +25,24 @@ from slipfree.core.schema import Count, NonNegative
 from slipfree.geometry.path import Path
 from slipfree.geometry.regions import Region
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.routing import traversability
-from slipfree.routing.traversability import Point, Traversability, node_at, nodes_at, point_text
+from slipfree.routing.traversability import (
+    HEADINGS,
+    SLIDING,
+    Point,
+    Traversability,
+    axis_step,
+    blocking_reasons,
+    extents,
+    more_friction_words,
+    nearest_headings,
+    node_at,
+    nodes_at,
+    out_of_bounds,
+    point_text,
+    reasons_by_kind,
+    to_edge,
+    window,
+)
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
 
@@ -113,7 +129,7 @@ def along(layers: Traversability, rough: Array) -> Traversability:
     owner = np.zeros(off.shape, dtype=np.intp)
     at = nodes_at(layers, middle)
     off[at], owner[at] = False, np.arange(len(middle))
-    heading = traversability.nearest_headings(layers, steps)[owner[_nearest(off, layers.spacing)]]
+    heading = nearest_headings(layers, steps)[owner[_nearest(off, layers.spacing)]]
     cost = np.take_along_axis(layers.cost, heading[None], axis=0)
     return layers._replace(heading=layers.heading[:1], cost=cost)
 
@@ -123,7 +139,7 @@ def path_cost(layers: Traversability, points: Array) -> float:
     ends = np.append(0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     crossings = list[Array]()  # of borders between the nearest nodes, where the cost jumps
     for axis, column in zip((layers.x, layers.y), points.T, strict=True):
-        at = (column - axis[0]) / traversability.axis_step(axis) + 0.5  # borders have whole numbers
+        at = (column - axis[0]) / axis_step(axis) + 0.5  # borders have whole numbers
         first = np.ceil(np.minimum(at[:-1], at[1:]))
         count = (np.ceil(np.maximum(at[:-1], at[1:])) - first).astype(int)
         k = np.repeat(np.arange(count.size), count)
@@ -134,7 +150,7 @@ def path_cost(layers: Traversability, points: Array) -> float:
     steps, nodes = np.diff(dense, axis=0), nodes_at(layers, 0.5 * (dense[1:] + dense[:-1]))
     cost = layers.cost_toward(np.arctan2(-steps[:, 0], steps[:, 1]), *nodes)
     # beside a heading that is blocked, the cost is that of the nearest one
-    near = layers.cost[(traversability.nearest_headings(layers, steps), *nodes)]
+    near = layers.cost[(nearest_headings(layers, steps), *nodes)]
     return float(np.where(np.isinf(cost), near, cost) @ np.linalg.norm(steps, axis=1))
 
 
@@ -151,9 +167,7 @@ def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Cost
     """Return cost and clearance on the part of the map that smoothing can reach."""
     (x_min, y_min), (x_max, y_max) = rough.min(axis=0), rough.max(axis=0)
     room = 2 * turning_radius + 4 * layers.limits.half + 4 * max(layers.spacing)
-    part = traversability.window(
-        layers, (float(x_min), float(x_max), float(y_min), float(y_max)), room
-    )
+    part = window(layers, (float(x_min), float(x_max), float(y_min), float(y_max)), room)
     cost, h = layers.least_cost[part], layers.spacing
     free = np.isfinite(cost)
     if free.all():
@@ -501,7 +515,7 @@ def routes(
 
 def _check_ends(layers: Traversability, start: Point, goal: Point) -> None:
     for name, point in (("start", start), ("goal", goal)):
-        if why := traversability.blocking_reasons(layers, *map(float, point)):
+        if why := blocking_reasons(layers, *map(float, point)):
             raise ModelError(
                 f"route: the vehicle cannot be at the {name} {point_text(point)}: {why}; "
                 f"move the {name}"
@@ -592,8 +606,8 @@ def unreachable(
     """
     objections = dict[str, str]()
     for name, x, y in positions:
-        reasons = traversability.reasons_by_kind(layers, x, y)
-        is_off = traversability.to_edge(layers.limits, np.asarray(x), np.asarray(y)) < 0
+        reasons = reasons_by_kind(layers, x, y)
+        is_off = to_edge(layers.limits, np.asarray(x), np.asarray(y)) < 0
         found = {kind: reasons[kind] for kind in REMEDIES if kind in reasons}
         if not is_off:
             found.pop("edge", None)
@@ -618,7 +632,7 @@ def unheld_words(terrain: Bicubic, vehicle: Vehicle, x: float, y: float) -> str:
     """
     if terrain.mu is None or not vehicle.mass:
         return ""
-    half = traversability.extents(vehicle)[2] / 2
+    half = extents(vehicle)[2] / 2
     ends = terrain.elevation(x + half * np.array([1, -1, 0, 0]), y + half * np.array([0, 0, 1, -1]))
     slope = np.hypot(*(ends[::2] - ends[1::2])) / (2 * half)
     grip = max(wheel.grip for wheel in vehicle.wheels)
@@ -626,14 +640,12 @@ def unheld_words(terrain: Bicubic, vehicle: Vehicle, x: float, y: float) -> str:
     if slope <= limit:
         return ""
     model = direct_kinematics(vehicle, terrain)
-    poses = atlas(
-        model, headings=traversability.HEADINGS, x=np.array([x]), y=np.array([y]), compiled=False
-    )
+    poses = atlas(model, headings=HEADINGS, x=np.array([x]), y=np.array([y]), compiled=False)
     bounds = least_bounds(poses)
     if bounds is None or not poses.stands.any():
         return ""
     factor = float(np.nanmin(poses[bounds[0].name])) / (limit or 1.0)
-    return traversability.more_friction_words(factor) if factor > 1 else ""
+    return more_friction_words(factor) if factor > 1 else ""
 
 
 def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
@@ -644,14 +656,7 @@ def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
     best = int(gaps.argmin())
     nearest = np.array([layers.x[i[best]], layers.y[j[best]]])
     ahead = resample_polyline(np.stack([nearest, goal]), 0.5 * min(layers.spacing))
-    why = next(
-        (
-            w
-            for w in (traversability.blocking_reasons(layers, *point) for point in ahead.tolist())
-            if w
-        ),
-        "",
-    )
+    why = next((w for w in (blocking_reasons(layers, *point) for point in ahead.tolist()) if w), "")
     return (
         f"no route leads from {point_text(start)} to {point_text(goal)}: the ground that can be "
         f"reached ends at {point_text(nearest)}, {gaps[best]:.3g} m from the goal"
@@ -668,9 +673,9 @@ def separation_words(layers: Traversability, places: Sequence[Point], *, by_fric
     """
     if len(places) < 2:
         return ""
-    blocked = layers.cost >= traversability.SLIDING
+    blocked = layers.cost >= SLIDING
     if not by_friction:
-        blocked = np.logical_or.reduce([*traversability.out_of_bounds(layers).values()])[None]
+        blocked = np.logical_or.reduce([*out_of_bounds(layers).values()])[None]
     held = layers._replace(cost=np.where(blocked, np.inf, layers.cost))
     regions = _labels(np.isfinite(held.least_cost))
     for start, goal in pairwise(np.asarray(places)):
@@ -709,7 +714,7 @@ def _keep_out_words(layers: Traversability, start: Point, goal: Point) -> str:
 def _divides(layers: Traversability, regions: tuple[Region, ...], ends: Ends) -> bool:
     """Return whether keep-out regions separate two nodes."""
     limits = layers.limits._replace(keep_out=regions)
-    free = ~traversability.out_of_bounds(layers._replace(limits=limits))["keep_out"]
+    free = ~out_of_bounds(layers._replace(limits=limits))["keep_out"]
     free[ends[0]] = free[ends[1]] = True
     labels = _labels(free)
     return bool(labels[ends[0]] != labels[ends[1]])

@@ -21,16 +21,34 @@ from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError, missing_package
 from slipfree.core.records import Array, Mask
 from slipfree.files.foreign_formats import check_contents, check_ending
-from slipfree.files.maps import raster, reference_systems
+from slipfree.files.maps import raster
 from slipfree.files.maps.missing_values import check_values
-from slipfree.files.maps.reference_systems import LENGTHS, UNKNOWN_ZONE, metric_system, refuse
+from slipfree.files.maps.reference_systems import (
+    LENGTHS,
+    UNKNOWN_ZONE,
+    metric_system,
+    refuse,
+    reprojection,
+    scale_facts,
+    system_name,
+)
 from slipfree.files.tables import ALIASES, read_columns, read_names
 from slipfree.system.processes import bounded_read
 from slipfree.system.regular_files import regular_file
-from slipfree.terrain import grid_ops
 from slipfree.terrain.base import Friction, Grid
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.terrain.grid_ops import MAX_COORDINATE, MAX_NODES, Heights, Window, axes_of, parts
+from slipfree.terrain.grid_ops import (
+    MAX_COORDINATE,
+    MAX_NODES,
+    WINDOW_TOLERANCE,
+    Heights,
+    UniformAxis,
+    Window,
+    axes_of,
+    continue_over_holes,
+    fill_holes,
+    parts,
+)
 
 MAX_HEADER = 2**16  # [bytes]
 CLASSES = ("classification", "scalar_classification")  # properties with the classes of LAS
@@ -173,10 +191,8 @@ def read_points(path: Path, ask: raster.Reading) -> Heights:
             f"(--set terrain.spacing={distance:.2g})",
         )
     low, high = places.min(axis=0), places.max(axis=0)
-    counts = np.floor((high - low) / spacing + grid_ops.WINDOW_TOLERANCE).astype(int) + 1
-    x, y = (
-        grid_ops.UniformAxis(float(a), spacing, int(n)) for a, n in zip(low, counts, strict=True)
-    )
+    counts = np.floor((high - low) / spacing + WINDOW_TOLERANCE).astype(int) + 1
+    x, y = (UniformAxis(float(a), spacing, int(n)) for a, n in zip(low, counts, strict=True))
     if counts.min() < 4:
         size = f"{counts[0]} by {counts[1]} at spacing = {spacing:g} {unit}"
         remedy = f"set a smaller spacing, such as {distance:.2g}"
@@ -223,7 +239,7 @@ def interpolate_points(
     cells = (points[:, :2] - low) / spacing  # relative to the first node: less rounding
     nodes = np.rint(cells)
     # points within rounding of nodes are moved there: nodes on the border must be in the hull
-    cells = np.where(np.abs(cells - nodes) < grid_ops.WINDOW_TOLERANCE, nodes, cells)
+    cells = np.where(np.abs(cells - nodes) < WINDOW_TOLERANCE, nodes, cells)
     try:
         surface = LinearNDInterpolator(cells, points[:, 2])
     except QhullError as error:
@@ -258,9 +274,9 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
         near = window[0] - margin, window[1] + margin, window[2] - margin, window[3] + margin
     every, ground, omitted, file = _read(path, near)
     middle = np.mean(every[:, :2], axis=0) if len(every) else (math.nan, math.nan)
-    name, geographic = reference_systems.system_name(file.crs, TO_METRES, *middle)
+    name, geographic = system_name(file.crs, TO_METRES, *middle)
     if geographic:
-        remedy = reference_systems.reprojection(file.crs, TO_METRES, *middle)
+        remedy = reprojection(file.crs, TO_METRES, *middle)
         refuse("a point cloud in metres", f"degrees ({name})", remedy)
     points = every[ground] if ground.any() else every
     if len(points) < 3:
@@ -287,9 +303,7 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
         np.rint(ends / cell).astype(np.int64).tolist()
         for ends in (points[:, :2].min(axis=0), points[:, :2].max(axis=0))
     )
-    x, y = (
-        grid_ops.UniformAxis(a * cell, cell, b - a + 1) for a, b in zip(first, last, strict=True)
-    )
+    x, y = (UniformAxis(a * cell, cell, b - a + 1) for a, b in zip(first, last, strict=True))
     i, j = parts(x, y, window)
     # heights at nodes, NaN in cells without points; means relative to the first node, since sums of
     # coordinates such as northings would lose digits
@@ -326,7 +340,7 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
         ("ground map", f"{file.format} point cloud, {name or 'CRS not given'}"),
         ("ground points", words),
         ("ground map heights", heights),
-        *reference_systems.scale_facts(file.crs, nodes[0].mean(), nodes[1].mean(), TO_METRES),
+        *scale_facts(file.crs, nodes[0].mean(), nodes[1].mean(), TO_METRES),
     )
     return Heights(*nodes, unit * z, facts, name)
 
@@ -557,7 +571,7 @@ def read_map(
         facts: Facts = heights.facts
         mask, missing = None, np.isnan(heights.z)
         if fill is not None:
-            filled = grid_ops.fill_holes(heights)
+            filled = fill_holes(heights)
             unit = "m" if geographic is None else "deg"
             size = " x ".join(f"{each:.6g}" for each in filled.largest)
             words = (
@@ -570,7 +584,7 @@ def read_map(
         holes = missing if missing.any() else None
         if holes is not None:
             facts += (("ground holes", hole_words(int(holes.sum()), holes.size)),)
-            heights = heights._replace(z=grid_ops.continue_over_holes(heights.z))
+            heights = heights._replace(z=continue_over_holes(heights.z))
         if geographic is None:
             grid = Grid(heights.x, heights.y, heights.z, mask, holes)
             return Map(grid, mu=friction, crs=heights.crs, facts=facts, gray=heights.gray)

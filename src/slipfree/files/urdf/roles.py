@@ -10,10 +10,18 @@ import numpy as np
 from annotated_types import doc
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from slipfree.files import vehicle_toml
 from slipfree.files.toml import NonNegative, Positive, Record, decoded, given_values
 from slipfree.files.urdf.tree import Link, Mimic, Tree, UrdfJoint
-from slipfree.files.vehicle_toml import At, Axis, DriveTable, Inertia, Length, Rollers, WheelInertia
+from slipfree.files.vehicle_toml import (
+    At,
+    Axis,
+    DriveTable,
+    Inertia,
+    Length,
+    Rollers,
+    WheelInertia,
+    vector_of,
+)
 from slipfree.geometry.frame import unit_vector
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN, RATE
@@ -145,9 +153,7 @@ def _with_joint(tree: Tree, name: str, role: JointRole) -> Tree:
     for joint in tree.joints.values():
         if joint.name in role.carries:
             joints.setdefault(name, new)
-            joint = joint._replace(
-                parent=name, at=vehicle_toml.vector_of(np.asarray(joint.at) - role.at)
-            )
+            joint = joint._replace(parent=name, at=vector_of(np.asarray(joint.at) - role.at))
         joints[joint.name] = joint
     return replace(tree, links=tree.links | {name: Link(name)}, joints=joints)
 

@@ -11,9 +11,15 @@ from typing import Any, Literal, NamedTuple, NoReturn, TypeVar
 import numpy as np
 
 from slipfree.core.records import Array
-from slipfree.files import vehicle_toml
 from slipfree.files.urdf.evidence import WHEEL, Evidence, Plugin
-from slipfree.files.vehicle_toml import Guess, Value, VehicleError, rotation_of, vector_of
+from slipfree.files.vehicle_toml import (
+    Guess,
+    Value,
+    VehicleError,
+    angles_of,
+    rotation_of,
+    vector_of,
+)
 from slipfree.geometry.frame import Elements, Vector, in_axes, unit_vector
 from slipfree.system.forks import cached_property
 from slipfree.vehicle.shapes import Box
@@ -340,6 +346,6 @@ def moved(shape: Placed, turn: Array, at: Array) -> Placed:
     """Return a shape in another frame, in which its frame has a rotation and an origin [m]."""
     pose: dict[str, Any] = {
         "at": vector_of(turn @ shape.at + at),
-        "turned": vehicle_toml.angles_of(turn @ rotation_of(shape.turned)),
+        "turned": angles_of(turn @ rotation_of(shape.turned)),
     }
     return replace(shape, **pose) if isinstance(shape, Box) else shape._replace(**pose)

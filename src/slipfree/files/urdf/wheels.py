@@ -16,9 +16,20 @@ import numpy as np
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
-from slipfree.files import vehicle_toml
-from slipfree.files.urdf import evidence
-from slipfree.files.urdf.evidence import CASTER, WHEEL, Evidence, wheel_evidence
+from slipfree.files.urdf.evidence import (
+    CASTER,
+    FOOTPRINT,
+    MECANUM,
+    OMNI,
+    STEERING,
+    TRAILER,
+    USUAL,
+    WHEEL,
+    Evidence,
+    evidence,
+    weigh,
+    wheel_evidence,
+)
 from slipfree.files.urdf.links import wheel_name
 from slipfree.files.urdf.meshes import (
     UNITS,
@@ -43,7 +54,14 @@ from slipfree.files.urdf.tree import (
     lowest,
     moved,
 )
-from slipfree.files.vehicle_toml import Value, rotation_of, toml_line, toml_value, vector_of
+from slipfree.files.vehicle_toml import (
+    Value,
+    angle_text,
+    rotation_of,
+    toml_line,
+    toml_value,
+    vector_of,
+)
 from slipfree.geometry.frame import Vector, tensor, unit_vector
 from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.wheel import ORIGIN, Wheel
@@ -205,7 +223,7 @@ class Wheels:
             link, at = self.tree.links[joint.child], shape.at if shape else ORIGIN
             is_flat = shape is not None and shape.kind != "sphere" and not shape.tube
             off += [joint.name] * bool(link.mass and math.dist(link.center, at) > MASS_OFFSET)
-            bare += [joint.name] * bool(evidence.OMNI.search(joint.names) and role.rollers is None)
+            bare += [joint.name] * bool(OMNI.search(joint.names) and role.rollers is None)
             thin += [joint.name] * (is_flat and role.tube is None and not self._roles.tube)
         note, known = self._findings.note, {*self._roles.joints, *self.gears}
         on_wheels = {
@@ -293,7 +311,7 @@ class Wheels:
         if role.rollers is not None:
             other = toml_line("wheels", name, rollers=False if role.rollers else OMNI_ANGLE)
         if values.get("rollers"):
-            values["rollers"] = vehicle_toml.angle_text(values["rollers"])
+            values["rollers"] = angle_text(values["rollers"])
         if values:
             self._findings.guess("wheels", name, values, f"a wheel: {guess.words}", other)
 
@@ -416,7 +434,7 @@ class Wheels:
                     same = (one for one in known if math.isclose(one, size, rel_tol=ALIKE))
                     known.append(next(same, round(size, 6)))
                     facts[fact] = f"{known[-1]:g} m"
-            choice = evidence.weigh(evidence.evidence("radius", facts))
+            choice = weigh(evidence("radius", facts))
             best, other_size = (float(each.split()[0]) for each in (choice.choice, choice.rival))
             wheels = [{name: {"radius": size} for name in every} for size in (best, other_size)]
             if choice.is_open:
@@ -449,7 +467,7 @@ class Wheels:
         for joint in (joint for joint in shapes if lows[joint] > most):
             alike = any(math.isclose(shapes[joint].radius, r, rel_tol=ALIKE) for r in low)
             facts = {"high": True, "alike": alike, "names": WHEEL.search(joint.names)}
-            choice = evidence.weigh(evidence.evidence("ground", facts))
+            choice = weigh(evidence("ground", facts))
             if choice.is_open:
                 self._findings.ask(
                     [joint],
@@ -531,9 +549,7 @@ class Wheels:
             "names": joint.names,
             "caster": joint.name in self._casters,
         }
-        choice = evidence.weigh(
-            [*evidence.evidence("driven", facts)] or evidence.evidence("driven", {"nothing": True})
-        )
+        choice = weigh([*evidence("driven", facts)] or evidence("driven", {"nothing": True}))
         is_driven = choice.choice == "driven"
         if choice.rival or not has_actuator:
             rolling = {wheel.name for wheel in self.joints} - self.balls - self._casters
@@ -710,10 +726,10 @@ def swivels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
             offset = tree.frames[wheel.child][1] - tree.frames[joint.child][1]
             across = abs(float(offset[0] * axle[1] - offset[1] * axle[0]))
             trails.append(across / (tree.radius_of(wheel) or np.inf))
-        is_behind = not evidence.STEERING.search(joint.names) and TRAIL < min(trails) < MAX_TRAIL
+        is_behind = not STEERING.search(joint.names) and TRAIL < min(trails) < MAX_TRAIL
         commands = [e for e in tree.evidence.get(joint.name, ()) if e.choice == "commanded"]
-        is_free = joint.mimic is None and not any(each.weight > evidence.USUAL for each in commands)
-        is_named = evidence.TRAILER.search(joint.names) and not evidence.STEERING.search(joint.name)
+        is_free = joint.mimic is None and not any(each.weight > USUAL for each in commands)
+        is_named = TRAILER.search(joint.names) and not STEERING.search(joint.name)
         if is_free and (is_named or is_behind):
             swivelling[joint.name] = {wheel.name for wheel in carried}
     names = {wheel.name for wheel in wheels}  # if each wheel swivels, none does so freely
@@ -823,9 +839,7 @@ def mecanum_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
     for joint in wheels:
         link, drive = tree.links[joint.child], tree.drives.get(joint.name)
         words = [joint.names, *(mesh.name for mesh in (*link.meshes, *link.visuals))]
-        named += [joint] * bool(
-            evidence.MECANUM.search(" ".join([*words, drive.name if drive else ""]))
-        )
+        named += [joint] * bool(MECANUM.search(" ".join([*words, drive.name if drive else ""])))
     if not named:
         return
     places = np.array([tree.frames[joint.child][1][:2] for joint in named])
@@ -841,7 +855,7 @@ def wheel_guesses(
     """Yield the wheels that joints probably carry, with the name of the joint."""
     guesses = dict[str, Evidence]()  # by names, such as "wheel", or a given radius of meshes
     frames, on_wheels = tree.frames, tree.fixed_to_wheels
-    grounds = [frames[link][1][2] for link in tree.links if evidence.FOOTPRINT.search(link)]
+    grounds = [frames[link][1][2] for link in tree.links if FOOTPRINT.search(link)]
     heights: dict[str, float] = {}
     for joint in tree.joints.values():
         link, is_named = tree.links[joint.child], WHEEL.search(joint.names)
@@ -871,7 +885,7 @@ def wheel_guesses(
             "shape": link.shapes and named,
             "name": joint.moves and not link.meshes and named,
         }
-        if found := next(evidence.evidence("wheel", facts), None):
+        if found := next(evidence("wheel", facts), None):
             guesses[joint.name] = found
         elif is_named and link.meshes and height > 0:
             heights[joint.name] = height

@@ -38,8 +38,13 @@ from slipfree.models.samples import (
     rocks,
 )
 from slipfree.models.single_wheel import RESERVE, drawbar_reserve
-from slipfree.problem import build
-from slipfree.problem.build import Setup, World, build_world, law_name
+from slipfree.problem.build import (
+    Setup,
+    World,
+    build_world,
+    law_name,
+    model_law,
+)
 from slipfree.problem.build_vehicle import vehicle_file, visual_meshes
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys, Modelled, MotionKeys
@@ -302,7 +307,7 @@ class DriveVerb(Verb, ABC):
         run, arrays = self.drive(problem, setup, watch, resume)
         if setup.vehicle.mass:
             run = run.with_facts({"gravity": Fact(setup.vehicle.gravity, "m s-2")})
-        law = build.model_law(problem) if isinstance(problem.spec, Modelled) else None
+        law = model_law(problem) if isinstance(problem.spec, Modelled) else None
         return with_diagnostics(run, _diagnostics(setup, law, run), watch, arrays), arrays
 
     def describe_start(

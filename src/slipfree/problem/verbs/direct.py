@@ -19,8 +19,18 @@ from slipfree.files.toml import Fault, Piecewise, PiecewiseConstantOrFile, Posit
 from slipfree.files.toml import Place as KeyPath
 from slipfree.files.urdf.links import Robot, joint_values
 from slipfree.models.montana import Difference, cross_check, montana_kinematics
-from slipfree.problem import build
-from slipfree.problem.build import Setup, build_law, build_start, build_world, solver_options
+from slipfree.problem.build import (
+    Setup,
+    build_climbing,
+    build_law,
+    build_shared_model,
+    build_start,
+    build_world,
+    check_names,
+    model_law,
+    sampled_times,
+    solver_options,
+)
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_vehicle import vehicle_file
 from slipfree.problem.problem import Problem
@@ -193,17 +203,17 @@ class DirectVerb(base.DriveVerb):
         """Return the model, the settled start and the inputs of a problem."""
         spec = problem.spec
         world = build_world(problem)
-        dae = model = build.build_shared_model(problem, world)
+        dae = model = build_shared_model(problem, world)
         constants, source = spec.inputs, ""
         if constants is not None and FILE in constants:
             constants = dict(constants)
             file = str(constants.pop(FILE))
             constants = read_joint_inputs(problem, file, world.vehicle) | constants
             source = f" of {file}"
-        build.check_names(problem, dae, constants)
+        check_names(problem, dae, constants)
         is_climbing = spec.driver is not None and spec.driver.name == STEP_CLIMBING
         if is_climbing:
-            dae, climbing_inputs = build.build_climbing(problem, world, model)
+            dae, climbing_inputs = build_climbing(problem, world, model)
         start = build_start(problem, dae)
         (t, rates), every = input_samples(spec.time.duration, spec.time.step, constants or {}), 0
         if spec.formulation == "montana":
@@ -213,9 +223,7 @@ class DirectVerb(base.DriveVerb):
                         "expected model = 'kinematics' with formulation = 'montana', found model = "
                         f"{spec.model!r}; set model = 'kinematics', or remove 'formulation'"
                     )
-                dae = montana_kinematics(
-                    world.vehicle, world.terrain, slip=build.model_law(problem)
-                )
+                dae = montana_kinematics(world.vehicle, world.terrain, slip=model_law(problem))
         if spec.driver is None:
             driven = f"inputs {', '.join(rates)}{source}"
             with at(problem, ("inputs",)):
@@ -225,7 +233,7 @@ class DirectVerb(base.DriveVerb):
             inputs = climbing_inputs if is_climbing else build_law(problem, spec.driver, dae, start)
             if spec.driver.period is not None:
                 driven += f", every {spec.driver.period:g} s"
-                t, every = build.sampled_times(problem, ("driver", "period"), spec.driver.period)
+                t, every = sampled_times(problem, ("driver", "period"), spec.driver.period)
         drive: dict[str, Any] = {"start": start, "inputs": inputs, "t": t, "driven": driven}
         return Setup(**vars(world), model=model, dae=dae, every=every, **drive)
 

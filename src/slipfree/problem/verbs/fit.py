@@ -34,9 +34,22 @@ from slipfree.files.logs import (
 from slipfree.files.netcdf import FIT, ORIGIN, open_netcdf
 from slipfree.files.tables import ALIASES, PARTS, read_names, split_unit
 from slipfree.files.toml import Angle, Pair, Positive, Quantity, Record, given_values, name_errors
-from slipfree.fit import drive_fit
 from slipfree.fit.chassis import chassis_of, track, with_dimensions
-from slipfree.fit.drive_fit import DriveFit, Fitted, Score, WindowKind, age_priors, by_logs, rms
+from slipfree.fit.drive_fit import (
+    BLOCKS,
+    DriveFit,
+    Fitted,
+    Known,
+    Scale,
+    Score,
+    WindowKind,
+    age_priors,
+    by_logs,
+    judge,
+    rms,
+    score_kinds,
+    sought_of,
+)
 from slipfree.fit.drives import DriveLog, by_runs, conditions, held_for, without_holds
 from slipfree.fit.estimate import WEAK, Estimate
 from slipfree.fit.ground_slope import Slopes
@@ -364,7 +377,7 @@ def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog])
     kept = tuple(each for each in unknowns if each.quantity not in spec.constants)
     radii = np.full_like(inputs.radii, spec.constants.get("radius", inputs.radii))
     model = Model(age_priors(kept, logs), fixed, radii, names, half)
-    drive_fit.sought_of(model)  # errors of bounds
+    sought_of(model)  # errors of bounds
     return model
 
 
@@ -446,7 +459,7 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
         if window:
             first = WindowKind() if isinstance(window, str) else WindowKind(0.0, window)
         kinds = [first, *(kind for kind in KINDS if kind != first)]  # the first are fitted
-        found, fitted, scores = drive_fit.judge(model, logs, (slopes, further), kinds, others)
+        found, fitted, scores = judge(model, logs, (slopes, further), kinds, others)
     return FitResult(found, fitted, scores, others or logs, rows)
 
 
@@ -582,7 +595,7 @@ class _Reader(NamedTuple):
                 notes.append("turning rates are positive clockwise: their sign is reversed")
         if "vx" in table:
             velocity = between(table["vx"]) + 1j * between(table["vy"])
-        part = min(MANOEUVRE, float(np.ptp(at_even)) / drive_fit.BLOCKS + step)
+        part = min(MANOEUVRE, float(np.ptp(at_even)) / BLOCKS + step)
         numbers = (at_even - at_even[0]) // part
         speed = np.mean(signals, axis=0)
         bad = self._bad(path, place, velocity, step)
@@ -763,7 +776,7 @@ def constant_rows(fit: DriveFit) -> tuple[list[str], list[list[Any]]]:
     Radii of sides whose speeds are given are factors.
     """
     estimate, unknowns = fit.estimate, fit.model.unknowns
-    scale, deviation = drive_fit.Scale.of(unknowns), np.sqrt(np.diag(estimate.covariance))
+    scale, deviation = Scale.of(unknowns), np.sqrt(np.diag(estimate.covariance))
     factors = {"radius"} if (fit.model.radii == 1).all() else set()
     pairs = zip(estimate.labels, unknowns, strict=True)
     spread = np.where(scale.is_log, fit.values * deviation, deviation)
@@ -951,7 +964,7 @@ def predict_logs(
     )
     fixed, radii, wheels, half_track = contents["model"]
     model = Model(unknowns, fixed, np.array(radii), tuple(wheels), half_track)
-    known = drive_fit.Known(model, np.array(contents["values"]))
+    known = Known(model, np.array(contents["values"]))
     slopes, _, grid = maps_of(problem)
     rows = list[tuple[str, str]]()
     with at(problem, ("data", "surfaces")):
@@ -960,4 +973,4 @@ def predict_logs(
     rests = {
         WindowKind(*kind): Fitted(*map(np.array, errors)) for kind, errors in contents["fitted"]
     }
-    return FitResult(None, {}, drive_fit.score_kinds(known, rests, logs, slopes), logs, rows)
+    return FitResult(None, {}, score_kinds(known, rests, logs, slopes), logs, rows)

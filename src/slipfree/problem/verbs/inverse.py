@@ -25,8 +25,15 @@ from slipfree.models import given_rates
 from slipfree.models.given_rates import COMMANDS, ROBOT, UNITS
 from slipfree.models.inverse import invert, steering_note, steering_slip
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.problem import build
-from slipfree.problem.build import Setup, build_start, build_world, check_time_unit, heading_offset
+from slipfree.problem.build import (
+    Setup,
+    build_start,
+    build_world,
+    check_names,
+    check_time_unit,
+    heading_offset,
+    moves_sideways,
+)
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import FILE, MotionKeys, TerrainKeys, Time
@@ -368,7 +375,7 @@ class InverseVerb(base.DriveVerb):
         with at(problem, ("vehicle",)):
             direct = direct_kinematics(vehicle, world.terrain, slip=rates.slip)
         dae = invert(direct, rates)
-        build.check_names(problem, direct, None)
+        check_names(problem, direct, None)
         problem.refuse(*toml.unit_faults(("given",), spec.given or {}, UNITS))
         stand = build_start(problem, direct)
         texts = {name: value for name, value in given.items() if isinstance(value, str)}
@@ -504,7 +511,7 @@ def _points(problem: Problem[Inverse], vehicle: Vehicle) -> tuple[Array | None, 
             points[3] = np.unwrap(points[3], discont=1.5 * np.pi)
             check_time_unit(points[0], spec.time.duration)
             zero = heading_offset(problem) + np.pi / 2
-            check_motion(log, zero=zero, is_aligned=not build.moves_sideways(vehicle))
+            check_motion(log, zero=zero, is_aligned=not moves_sideways(vehicle))
     with at(problem, place):
         check_way_points(*points)
     problem.refuse(*_path_faults(points, place, problem.spec))

@@ -31,25 +31,58 @@ from slipfree.core.trajectory import PLAN, PLAN_SHARE, Stop, Trajectory
 from slipfree.enclosure.guarantee import TIP_OVER, guarantee
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.limits import UPRIGHT
-from slipfree.plan import robust as robustness
-from slipfree.plan import search as searching
-from slipfree.plan import verification
 from slipfree.plan.constraints import shift_of, unit_words
 from slipfree.plan.guess import guess_motion, settled_start
 from slipfree.plan.ipopt import seconds_left
 from slipfree.plan.plan import Plan, solve_task
 from slipfree.plan.polynomial_motion import PolynomialMotion, SavedPlan
 from slipfree.plan.problem import duration_of
-from slipfree.plan.robust import CONFIDENCE, Bound, DisturbedRun, Draw, Replays, Tightening
-from slipfree.plan.search import NOT_SOLVED, LocalOptimum, PlanProgress, Search, distances
+from slipfree.plan.robust import (
+    CONFIDENCE,
+    LOWER,
+    MAX_ROUNDS,
+    UPPER,
+    Bound,
+    DisturbedRun,
+    Draw,
+    Replays,
+    RobustPlan,
+    Tightening,
+    bound_of,
+    model_limits,
+    replay_of,
+    robust_plan,
+    tightened_task,
+)
+from slipfree.plan.search import (
+    NOT_SOLVED,
+    LocalOptimum,
+    PlanProgress,
+    Search,
+    count_distinct,
+    distances,
+    further_guesses,
+)
 from slipfree.plan.transcription import PlanTask
-from slipfree.plan.verification import limit_name, simulate_plan, verify_plan
+from slipfree.plan.verification import (
+    VERIFICATION_TOLERANCE,
+    limit_name,
+    simulate_plan,
+    verify_plan,
+)
 from slipfree.problem.build import build_model, build_start, in_frame, model_law, solver_options
 from slipfree.problem.build_ground import at
 from slipfree.problem.inputs import ProblemParts, Recipe, recipe_of
-from slipfree.problem.verbs import plan_setup
 from slipfree.problem.verbs.base import Watch
-from slipfree.problem.verbs.plan_setup import OfRobust, Planning, Robust, mesh_of, plan_task
+from slipfree.problem.verbs.plan_setup import (
+    OfRobust,
+    Planning,
+    Robust,
+    build_planning,
+    mesh_of,
+    momentum_models,
+    plan_task,
+)
 from slipfree.solve.options import MIN_TOLERANCE
 from slipfree.system.parts import PartsWatch, study
 from slipfree.terrain.base import Grid
@@ -100,7 +133,7 @@ def find_plan(
         duration = duration_of(spec.plan.duration or resume.motion.duration)
     smoothed = list[Dae]()
     if resume is None and spec.model == "dynamics":
-        smoothed = plan_setup.momentum_models(problem, setup.vehicle, setup.terrain)[:-1]
+        smoothed = momentum_models(problem, setup.vehicle, setup.terrain)[:-1]
     elif resume is None and not has_exact_closure(setup.vehicle):
         world, slip = (setup.vehicle, setup.terrain), model_law(problem)
         models = (direct_kinematics(*world, slip=slip, smoothing=width) for width in SMOOTHINGS)
@@ -113,7 +146,7 @@ def find_plan(
         with at(problem, ("plan",)):
             task = setup.task if dae is setup.dae else plan_task(problem, dae, start)
             now = solve_task(
-                replace(robustness.tightened_task(task, tightening), duration=duration),
+                replace(tightened_task(task, tightening), duration=duration),
                 start,
                 [] if saved else guesses,
                 mesh=mesh_of(spec),
@@ -149,7 +182,7 @@ def _keep_smoothed(keep: Callable[[Plan], None], plan: Plan) -> None:
 
 @lru_cache(1)
 def _planning(source: Recipe) -> Planning:
-    return plan_setup.build_planning(source.load())
+    return build_planning(source.load())
 
 
 class StartResult(NamedTuple):
@@ -214,7 +247,7 @@ def solve_start(task: tuple[Recipe, int]) -> StartResult:
             guess = start_motion(setup, number)
         else:
             begin, bounds = (setup.dae, setup.start, first), setup.task.inputs
-            further = [*searching.further_guesses(*begin, bounds, missing, search.seed)]
+            further = [*further_guesses(*begin, bounds, missing, search.seed)]
             if number - len(setup.starts) >= len(further):
                 return StartResult(number, None, None, "a perturbed guess cannot be simulated")
             name, guess = further[number - len(setup.starts)]
@@ -233,7 +266,7 @@ def starts_facts(results: Sequence[StartResult]) -> dict[str, Fact]:
     ]
     for row in rows:
         del row["path"]
-    return {"plan_starts": Fact(rows), "plan_optima": Fact(searching.count_distinct(optima), "1")}
+    return {"plan_starts": Fact(rows), "plan_optima": Fact(count_distinct(optima), "1")}
 
 
 def is_solved(result: StartResult) -> bool:
@@ -314,7 +347,7 @@ def make_robust(setup: Planning, first: Plan, progress: PlanProgress, watch: Wat
         with ExitStack() as stack:
             parts = None
             if watch.beside is not None:
-                size = robust.final_draws + robustness.MAX_ROUNDS * robust.draws
+                size = robust.final_draws + MAX_ROUNDS * robust.draws
                 parts = DrawFolder(watch.beside, "robust plan", size, setup.problem)
                 stack.enter_context(parts)
             run = stack.enter_context(
@@ -337,7 +370,7 @@ def make_robust(setup: Planning, first: Plan, progress: PlanProgress, watch: Wat
                 return [Replays(each) for each in zip(*(done[k] for k in numbers), strict=True)]
 
             options = {name: getattr(robust, name) for name in OfRobust.model_fields}
-            solved = robustness.robust_plan(first, solve, replay, **options)
+            solved = robust_plan(first, solve, replay, **options)
             if parts is not None:
                 parts.remove()
     except KeyboardInterrupt:
@@ -350,7 +383,7 @@ def replay_draw(task: ReplayTask) -> tuple[DisturbedRun, ...]:
     setup = _planning(task.source)
     spec, robust = setup.spec, setup.spec.plan.robust or Robust()
     is_drawn = robust.map is not None or robust.friction > 0
-    tolerance = max(spec.plan.accuracy * verification.VERIFICATION_TOLERANCE, MIN_TOLERANCE)
+    tolerance = max(spec.plan.accuracy * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
     options = replace(spec.solver.options, tolerance=tolerance)
 
     def replayed(planned: PolynomialMotion) -> DisturbedRun:
@@ -363,7 +396,7 @@ def replay_draw(task: ReplayTask) -> tuple[DisturbedRun, ...]:
         if run.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
         asked, plan = plan_task(setup.problem, dae, start), (setup.dae, planned)
-        return robustness.replay_of(asked, plan, run, accuracy=spec.plan.accuracy, goal=robust.goal)
+        return replay_of(asked, plan, run, accuracy=spec.plan.accuracy, goal=robust.goal)
 
     return tuple(map(replayed, task.motions))
 
@@ -414,7 +447,7 @@ class BandBound(NamedTuple):
     place: str  # of the sample
 
     def __str__(self) -> str:
-        is_lower = self.bound.side == robustness.LOWER
+        is_lower = self.bound.side == LOWER
         value = rounded_words(self.value, self.unit, up=not is_lower)
         return f"{self.name} at {'least' if is_lower else 'most'} {value}, at {self.place}"
 
@@ -442,9 +475,7 @@ def band_limits(task: PlanTask, run: Trajectory, error: float) -> BandLimits:
     ways = np.stack([run["x"], run["y"]], axis=1).round(2) + 0.0  # without -0.00
     places = [f"x = {x:.2f} m, y = {y:.2f} m" for x, y in ways.tolist()]
     bounds, uncovered = list[BandBound](), list[str]()
-    for number, limit in enumerate(
-        [*task.limits, *robustness.model_limits(task)] if known.any() else ()
-    ):
+    for number, limit in enumerate([*task.limits, *model_limits(task)] if known.any() else ()):
         if not ca.depends_on(limit.expression, z):  # of states, which are given
             continue
         name, expression = limit_name(limit), ca.densify(limit.expression)
@@ -459,20 +490,12 @@ def band_limits(task: PlanTask, run: Trajectory, error: float) -> BandLimits:
             uncovered += [name] * (number < len(task.limits))
             continue
         away = shift_of(task, limit.expression)
-        for side, sign, end, value in (
-            (robustness.LOWER, 1, limit.lower, low),
-            (robustness.UPPER, -1, limit.upper, high),
-        ):
+        for side, sign, end, value in (LOWER, 1, limit.lower, low), (UPPER, -1, limit.upper, high):
             if not np.isfinite(end) or np.isposinf(value[known]).all():  # a margin from above
                 continue
             room = np.where(known, np.nan_to_num(sign * (value - end), nan=-np.inf), np.inf)
             k = int(room.argmin())
-            what = (
-                robustness.bound_of(limit, side, ""),
-                margin,
-                float(value[k] + away),
-                limit.label.unit,
-            )
+            what = bound_of(limit, side, ""), margin, float(value[k] + away), limit.label.unit
             bounds.append(BandBound(*what, float(room[k]), places[k]))
     reasons = [f"{places[k]}: {found.reasons[k]}" for k in np.flatnonzero(~known)]
     return BandLimits(sorted(bounds, key=attrgetter("room")), reasons, uncovered)
@@ -495,7 +518,7 @@ def make_guaranteed(setup: Planning, first: Plan, error: float, progress: PlanPr
         open_poses = {Bound("pose"): np.inf} if limits(plan).unproved else {}
         return DisturbedRun({**sizes, **open_poses}, np.nan)
 
-    solved = robustness.robust_plan(
+    solved = robust_plan(
         first,
         lambda tightening, before: solve_tightened(setup, tightening, before, progress),
         lambda plans, _: [Replays((excess(each),)) for each in plans],
@@ -537,7 +560,7 @@ def rounded_words(value: float, unit: str, *, up: bool) -> str:
     return f"{(np.ceil if up else np.floor)(value * size) / size:.3g} {shown}".rstrip()
 
 
-def robust_facts(result: robustness.RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
+def robust_facts(result: RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
     """Return shares, tightening, violations and costs of a robust plan."""
     after, (low, high) = result.after, result.after.interval
     interval = f"{CONFIDENCE:.0%} confidence interval"
@@ -560,7 +583,7 @@ def robust_facts(result: robustness.RobustPlan[Plan], first: Plan) -> dict[str, 
     }
 
 
-def tightening_facts(result: robustness.RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
+def tightening_facts(result: RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
     """Return the tightening of limits, and costs with and without it."""
     sizes = sorted(result.tightening.items(), key=lambda item: -item[1])
     tightened = []
@@ -577,7 +600,7 @@ def tightening_facts(result: robustness.RobustPlan[Plan], first: Plan) -> dict[s
     }
 
 
-def _stop(result: robustness.RobustPlan[Plan], robust: Robust) -> Stop | None:
+def _stop(result: RobustPlan[Plan], robust: Robust) -> Stop | None:
     """Return the stop of a plan that holds in too few drawn worlds, otherwise None."""
     after = result.after
     if after.share >= robust.share:

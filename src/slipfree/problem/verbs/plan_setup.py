@@ -41,9 +41,14 @@ from slipfree.problem import build, schema
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import STEP_CLIMBING
-from slipfree.routing import traversability
 from slipfree.routing.search import unheld_words, unreachable
-from slipfree.routing.traversability import Traversability, extents, free_space, point_text
+from slipfree.routing.traversability import (
+    Traversability,
+    extents,
+    free_space,
+    point_text,
+    traversability,
+)
 from slipfree.solve.sampling import input_samples
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
@@ -484,8 +489,8 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     places, exact = places_of(problem, terrain.domain)
     space = free_space(terrain, vehicle, keep_out=regions(problem))
     wrong = {name: why for name, why in unreachable(space, places).items() if name in exact}
-    for name in wrong:
-        where = problem.source.where((key_of(name),))
+    if wrong:
+        where = problem.source.where((key_of(next(iter(wrong))),))
         raise toml.ProblemError(f"{where}: {'; '.join(wrong.values())}")
     for name, x, y in places:
         if name in exact and (why := unheld_words(terrain, vehicle, x, y)):
@@ -543,7 +548,7 @@ def build_layers(
         return free_space(terrain, vehicle, keep_out=keep_out)
     points = np.array([place[1:] for place in places])
     backwards = driver is not None and driver.speed < 0
-    return traversability.traversability(
+    return traversability(
         terrain,
         vehicle,
         keep_out=keep_out,
