@@ -33,7 +33,7 @@ from slipfree.batch.graph import Graph
 from slipfree.core.records import Array
 from slipfree.models.force_distribution import least_utilisation
 
-STEPS, MORE_STEPS = 8, 16
+STEPS = 8, 4, 12  # each for the intervals that are still wide
 ROUNDING = 1e-15
 MIN_RESISTANCE = 1e-10  # smallest square of a resistance to sliding, relative to the largest
 FIRST_FACTOR, LOAD_STEPS = 1.5, 16  # for given normal forces
@@ -271,8 +271,8 @@ def least_friction(
 ) -> FrictionBounds:
     """Return bounds of the least factor of the wheels' friction that holds the vehicle.
 
-    Intervals wider than a tolerance after `STEPS` steps take `MORE_STEPS` further ones; those
-    that remain wider are computed by `least_utilisation`.
+    Intervals wider than a tolerance take further `STEPS`; those that remain wider are computed by
+    `least_utilisation`. Others take none: at the optimum, rounding lets the bounds cross.
     """
     rows, pattern = rows_of(graphs.pattern), graphs.pattern
     tangential = np.array(pattern.row()) % 3 < 2
@@ -282,7 +282,7 @@ def least_friction(
     column[rows.load] = terms.load
     column[rows.rates.start :] = evaluate(graphs.start, column)
     wide = np.arange(column.shape[1])
-    for count in (STEPS, MORE_STEPS):
+    for count in STEPS:
         if not wide.size:
             break
         part = column[:, wide]
