@@ -124,21 +124,17 @@ def test_ground_points_are_preferred_and_noise_is_left_out(tmp_path):
         (None, ((3072, 32633), (4099, 9003)), 1200 / 3937, "converted from US survey foot"),
         (None, ((3072, 32633), (4096, 6360)), 1200 / 3937, "converted from US survey foot"),
         (None, ((3072, 32633),), 1.0, "unit not stated: taken as metres"),
+        (None, (), 1.0, "unit not stated: taken as metres"),
     ],
 )
 def test_the_unit_of_heights_is_that_of_the_file(tmp_path, crs, keys, length, words):
     places = scattered()
     path = cloud(tmp_path / "a.las", places, plane(*places.T) / length, crs=crs, keys=keys)
     found = read_map(path, spacing=1.0)
-    assert found.crs == "EPSG:32633"
+    assert found.crs == ("EPSG:32633" if crs or keys else "")
+    assert dict(found.facts)["ground map"].endswith(f"cloud, {found.crs or 'CRS not given'}")
     assert words in dict(found.facts)["ground map heights"]
     assert_plane(found.grid, 2e-3)
-
-
-def test_a_file_without_a_system_has_none(tmp_path):
-    found = read_map(cloud(tmp_path / "a.las", crs=None), spacing=1.0)
-    assert found.crs == ""
-    assert dict(found.facts)["ground map"] == "LAS 1.4 point cloud, CRS not given"
 
 
 @pytest.mark.parametrize(
@@ -146,19 +142,14 @@ def test_a_file_without_a_system_has_none(tmp_path):
     [
         ({"crs": "EPSG:4326"}, r"a point cloud in metres, found degrees .*pdal translate"),
         ({"keys": ((3076, 9002), (3072, 32767))}, r"in metres, found the unit 'foot'"),
+        ({"crs": "EPSG:32633+5715"}, r"upward, found depths, .*'Z = Z \* -1'"),
+        ({"places": scattered()[:2]}, "at least 3 points, found 2; use another file"),
+        ({"places": scattered() * [0, 1] + [WEST, 0]}, "a surface, found that they lie on a l"),
     ],
 )
-def test_other_units_are_refused(tmp_path, options, words):
+def test_points_are_refused_with_a_remedy(tmp_path, options, words):
     path = cloud(tmp_path / "a.las", **options)
     refuses(DataError, rf"a\.las: expected .*{words}", read_map, path, spacing=1.0)
-
-
-def test_too_few_points_and_lines_are_refused(tmp_path):
-    places = scattered()
-    path = cloud(tmp_path / "a.las", places[:2])
-    refuses(DataError, "expected at least 3 points, found 2; use another file", read_map, path)
-    path = cloud(tmp_path / "a.las", places * [0, 1] + [WEST, 0], plane(*places.T))
-    refuses(DataError, "points that span a surface, found that they lie on a l", read_map, path)
 
 
 def refusals(path, files, head):
@@ -234,7 +225,8 @@ def heights(path, **options):
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_vertices_of_a_ply_are_points(tmp_path, kind, real, newline):
     path = tmp_path / "a.PLY"
-    path.write_bytes(ply(PLANE, kind, real=real, newline=newline, faces=3))
+    before = 5 if newline == "\n" else 0  # elements
+    path.write_bytes(ply(PLANE, kind, real=real, newline=newline, faces=3, before=before))
     facts = dict(heights(path).facts)
     assert facts["ground map"] == f"PLY ({kind}) point cloud, CRS not given"
     assert facts["ground points"].startswith("all 4000 points, ")
@@ -277,12 +269,6 @@ def test_classes_of_a_ply_are_those_of_las(tmp_path):
         assert words.startswith(f"{np.count_nonzero(kinds == 2)} classified as ground, of ")
         x, y = np.meshgrid(found.grid.x, found.grid.y, indexing="ij")
         assert np.abs(found.grid.z - (3 + 0.2 * x - 0.1 * y))[1:-1, 1:-1].max() < 1e-4
-
-
-def test_elements_before_the_vertices_are_skipped(tmp_path):
-    for kind in PLY_KINDS:
-        (tmp_path / "a.ply").write_bytes(ply(PLANE, kind, before=5))
-        heights(tmp_path / "a.ply")
 
 
 def test_comments_in_other_encodings_are_left_out(tmp_path):
@@ -355,9 +341,20 @@ def test_damaged_files_are_refused_by_name(tmp_path, name, data, words):
     )
 
 
-def test_large_coordinates_are_refused(tmp_path):
-    (tmp_path / "a.ply").write_bytes(ply(PLANE * 1e30, "ascii", real="double"))
-    refuses(DataError, "found coordinates that exceed", read_map, tmp_path / "a.ply")
+def test_coordinates_beyond_their_digits_are_refused(tmp_path):
+    """A float32 has steps of 0.5 m at 5e6 m; whole numbers are exact."""
+    far, path, coarse = np.array([5e5, 5e6, 0]), tmp_path / "a.ply", "to 0.5 .* four bytes; write x"
+    for points, real, words in (
+        (PLANE * 1e30, "double", "found coordinates that exceed"),
+        (PLANE + far, "double", ""),
+        (np.round(PLANE) + far, "float", ""),
+        (PLANE + far, "float", rf"found 50000\d+(\.5)?, rounded {coarse} and y as 'double'"),
+    ):
+        path.write_bytes(ply(points, "binary_little_endian", real=real))
+        if words:
+            refuses(DataError, words, read_map, path)
+        else:
+            assert read_map(path, spacing=1.0).grid.y[-1] == 5000020
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.pcd"])

@@ -18,6 +18,7 @@ from PIL import Image
 from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
 from rasterio.warp import transform
+from scipy.io import netcdf_file
 
 from helpers import rasters
 from helpers.rasters import from_origin, refuses
@@ -263,6 +264,7 @@ def test_tiles_in_degrees(tmp_path):
         ({"transform": from_origin(1e9, 1e9, 0.5)}, "domain of its projection, found no scale"),
         ({"transform": Affine(0.2, 0.1, 5, 0.1, -0.2, 7)}, "rotated, sheared or mir.*gdalwarp"),
         ({"crs": None, "transform": from_origin(15, 47, 1e-4)}, "seems to be in degrees"),
+        ({"crs": f"{UTM}+5715"}, "positive upward, found depths, positive downward; .*--calc=-A"),
     ],
 )
 def test_geotiffs_refused(tmp_path, options, words):
@@ -349,14 +351,6 @@ def test_more_geotiffs_refused(tmp_path):
         read_map(path, geographic=True)
 
 
-def test_damaged_tiffs_lead_to_one_error(tmp_path):
-    path = geotiff(tmp_path / "map.tif", compress="deflate")
-    whole = path.read_bytes()
-    for content in (b"", b"no TIFF", whole[:100], whole[:-900]):
-        path.write_bytes(content)
-        refuses(path, r"map.tif: expected a readable GeoTIFF, .*damaged")
-
-
 def test_a_picture_needs_cell_and_registration(tmp_path):
     heights = np.arange(20).reshape(4, 5) * 300
     path = plain(tmp_path / "map.png", heights, "I;16")
@@ -416,19 +410,26 @@ def test_gray_pictures_of_all_formats(tmp_path, name):
         ("map.pgm", b"P2\n7 5\n255\n1 2 3", "expected 35 levels from 0 to 255.*found 3 levels"),
         ("map.pgm", b"P5 6 6 255\n" + bytes([205, 0, 254] * 12), "an occupancy map of ROS; use"),
         ("map.tif", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS; fetch it: git lfs"),
+        ("map.sdat", b"", r"in .npz, .tif, .* found '.sdat', a part of a map; header and .*transl"),
+        ("map.tif", None, "map.tif: expected a map, found that it cannot be read"),
+        ("a.zip", b"", "unpack it: unzip a.zip"),
+        ("a.shp", b"", "contours to a raster: gdal_grid .* a.shp out.tif"),
     ],
 )
 def test_other_contents_are_named(tmp_path, name, content, words):
-    (tmp_path / name).write_bytes(content)
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
     refuses(tmp_path / name, words, cell=1.0, registration="area")
 
 
-def test_damaged_pictures_refused(tmp_path):
+def test_damaged_files_lead_to_one_error(tmp_path):
     path = plain(tmp_path / "map.png", np.arange(400).reshape(20, 20), "I;16")
-    whole = path.read_bytes()
-    for content in (b"", whole[:20], whole[:-60], b"GIF89a" + whole[6:]):
-        path.write_bytes(content)
-        refuses(path, r"map.png: expected a readable PNG", cell=1.0, registration="area")
+    keys = {"cell": 1.0, "registration": "area"}
+    for file, more in ((geotiff(tmp_path / "map.tif", compress="deflate"), {}), (path, keys)):
+        whole = file.read_bytes()
+        for content in (b"", b"no TIFF", whole[:20], whole[:-60], b"GIF89a" + whole[6:]):
+            file.write_bytes(content)
+            refuses(file, rf"{file.name}: expected a readable (GeoTIFF|PNG), .*damaged", **more)
     Image.fromarray(np.arange(36, dtype="uint8").reshape(6, 6)).save(path, transparency=9)
     found = read_map(path, cell=1.0, registration="area").grid
     assert np.argwhere(found.holes).tolist() == [[3, 4]]
@@ -523,12 +524,49 @@ def test_gray_levels_are_told_from_heights(tmp_path, dtype, options, gray):
 def test_heights_in_other_units_are_converted(tmp_path):
     path = geotiff(tmp_path / "map.tif")
     assert dict(read_map(path).facts)["ground map heights"].endswith(FEET)
-    for unit, length in (("ft", 0.3048), ("US survey foot", 1200 / 3937), ("cm", 0.01)):
+    for unit, length in (("ft", 0.3048), ("US survey foot", 1200 / 3937), ("[cm]", 0.01)):
         with rasterio.open(path, "r+") as file:
             file.units = (unit,)
         found = read_map(path)
         assert_allclose(found.grid.z, length * ROWS[::-1].T, rtol=1e-15)
         assert f"converted from {unit}" in dict(found.facts)["ground map heights"]
+
+
+def netcdf(path, order="yx", names="z", **changes):
+    """Write ``ROWS`` from the south, with attributes of x, y and z; return the path."""
+    attributes = {"x": {"axis": "X", "units": "m"}, "y": {"axis": "Y"}, "z": {}} | changes
+    values = {"x": WEST + CELL * np.arange(40), "y": NORTH + CELL * np.arange(32)}
+    with netcdf_file(path, "w") as file:
+        for name, axis in values.items():
+            file.createDimension(name, axis.size)
+            file.createVariable(name, "d", (name,))[:] = axis
+        for name in names:
+            file.createVariable(name, "f", tuple(order))[:] = ROWS if order == "yx" else ROWS.T
+        for name, pairs in attributes.items():
+            file.variables[name].__dict__["_attributes"].update(pairs)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"x": {}, "y": {}}, r"uniform coordinates x and y, .*none; .*attrs\['axis'\] = 'X'"),
+        ({"x": {"axis": "X", "units": "km"}}, "coordinates x in metres or deg.*the unit 'km'"),
+        ({"order": "xy"}, "heights along the coordinates x, 500000 to 500009.75, found"),
+        ({"x": {"axis": "X", "actual_range": np.array([0.0, 9.75])}}, "heights at x = 0.* to 9"),
+        ({"x": {"axis": "X", "units": "degrees_east"}}, "a map in metres, found degrees"),
+        ({"z": {"positive": "down"}}, "heights that are positive upward, found depths"),
+        ({"names": "zs"}, "one variable of heights, found z, s; keep one: .*NETCDF:in.nc:z"),
+    ],
+)
+def test_coordinates_of_netcdf_files(tmp_path, changes, words):
+    """GDAL takes the last dimension for x, and ignores units and the direction of heights."""
+    found = read_map(netcdf(tmp_path / "map.nc", z={"units": "m", "positive": "up"})).grid
+    assert_allclose((found.x[0], found.y[0]), (WEST, NORTH), rtol=0, atol=1e-6)
+    assert_array_equal(found.z, ROWS.T)
+    refuses(netcdf(tmp_path / "map.nc", **changes), f"map.nc: expected .*{words}")
+    if not changes.get("x", True):
+        refuses(tmp_path / "map.nc", words, cell=1.0, registration="area")
 
 
 def test_a_damaged_header_of_netcdf_claims_no_memory(tmp_path):

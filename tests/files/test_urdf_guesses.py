@@ -355,7 +355,7 @@ READ = {
         {},
         "names of left and right disagree with the places of front_left_joint, front_right_joint",
     ),
-    "one placeholder": (sized(0.01), {}, "shape of front_left_joint (0.01 m)"),
+    "one placeholder": (sized(0.02), {}, "shape of front_left_joint (0.02 m)"),
     "one large wheel": (sized(0.14), {}, "of radius 0.1 m: height above the ground of the other"),
     "radii that nearly agree": (sized(0.09), {}, "opposite wheels with different radii"),
     "radius of a plugin": (

@@ -37,9 +37,8 @@ UNIT_FACTORS = {  # factors to SI units, by the SI unit, or "heights", and the n
     for unit, rows in read_table(__file__, "units.toml").items()
 }
 UNITS = {  # SI unit of a column, and factor to it
-    name: (unit, factor)
+    name: (unit.replace("heights", "m"), factor)
     for unit, factors in UNIT_FACTORS.items()
-    if unit != "heights"
     for name, factor in factors.items()
 }
 UNIT_IN_NAME = (  # "x [m]", "time(s)"; "t / s"; "yaw_deg"

@@ -33,6 +33,7 @@ from slipfree.vehicle.shapes import SHAPES, Ball, BodyShape, Box, Hull
 from slipfree.vehicle.wheel import DRIVES, ORIGIN, RATE, Drive, Wheel
 
 RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
+MAX_WHEEL_MASS = 4e5  # of a radius of 1 m: four balls of osmium, the densest material [kg]
 MAX_LENGTH = 100.0  # largest length in a vehicle [m]
 # rotation from axes x forward, y left (rep103) to axes x right, y forward
 FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -104,12 +105,16 @@ class VehicleError(toml.ProblemError):
 
 
 def misfits(draft: Draft, few: str = "add wheels") -> Iterator[tuple[str, str]]:
-    """Yield expected and found numbers for too few wheels or too many suspension coordinates.
+    """Yield expected and found numbers of wheels, their masses and suspension coordinates.
 
     ``few`` is what to do about too few wheels.
     With springs at all suspension coordinates, any number of them is valid, since the springs
     determine the pose of the vehicle.
     """
+    for wheel in draft.wheels:
+        if wheel.mass > (most := MAX_WHEEL_MASS * wheel.radius**3):
+            expected = f"a mass of wheel {wheel.name} in kg, at most {most:.3g} for its radius"
+            yield expected, f"{wheel.mass:g} (did you mean grams? write {wheel.mass / 1000:g})"
     count, names = len(draft.wheels), [c.name for c in draft.of("suspension")]
     if draft.planar:
         return
@@ -118,13 +123,13 @@ def misfits(draft: Draft, few: str = "add wheels") -> Iterator[tuple[str, str]]:
         return
     if all(c.stiffness for c in draft.of("suspension")):
         return
-    most = count - 3
-    if (more := len(names) - most) > 0:
+    free = count - 3
+    if (more := len(names) - free) > 0:
         remove, whose, stiffen = f"{more} of them", f"the kind of {more} of them", "each"
         if len(names) == 1:
             remove, whose, stiffen = "it", "its kind", "it"
         yield (
-            f"at most {most} suspension coordinate{'s' * (most != 1)} for {count} wheels, one for "
+            f"at most {free} suspension coordinate{'s' * (free != 1)} for {count} wheels, one for "
             "each wheel beyond three",
             f"{len(names)} ({', '.join(names)}); remove {remove}, set {whose} to 'passive' or "
             f"'commanded', add {more} wheel{'s' * (more > 1)}, or give {stiffen} a stiffness",

@@ -60,6 +60,7 @@ CHUNK = 200_000  # number of points of a LAS file read at once
 MAX_RECORD = 4096  # largest size of a point [bytes]
 GROUND, NOISE = 2, (7, 18)  # classes of points in LAS files
 POINTS_PER_CELL = 4.0  # default mean number; with random points, one cell in 55 is empty
+ROUGH = 0.25  # largest rounding of coordinates [distance of points]
 COARSE = 64.0  # mean number of points in the cells that measure the covered area
 MARGIN = 4.0  # width of the border around a window that is also read, in cells
 MAX_UNNAMED = 16  # largest number of columns without names
@@ -68,8 +69,8 @@ VERTICAL_UNIT, VERTICAL_SYSTEM, LINEAR_UNIT = 4099, 4096, 3076  # keys of GeoTIF
 UNITS = {9001: "metre", 9002: "foot", 9003: "US survey foot"}  # codes of EPSG
 TO_METRES = "pdal translate in.laz out.laz reprojection --filters.reprojection.out_srs={}"
 TO_METRIC_HEIGHTS = (
-    "convert them to metres and state the horizontal system alone: pdal translate in.laz out.laz "
-    "assign --filters.assign.value='Z = Z * METRES_PER_UNIT' --writers.las.a_srs=EPSG:326xx"
+    "multiply them by {0} and state the horizontal system alone: pdal translate in.laz out.laz "
+    "assign --filters.assign.value='Z = Z * {0}' --writers.las.a_srs=EPSG:326xx"
 )
 EARTH_RADIUS = 6371008.8  # mean radius (2 a + b) / 3 of the WGS84 ellipsoid [m]
 HEADER = 1e4  # largest header of a numpy array [bytes]
@@ -144,6 +145,16 @@ def _columns(rows: Any) -> tuple[Array, Array]:
     if missing := [name for name in "xyz" if name not in names]:
         raise ValueError(f"points with {', '.join(names)[:80]}, without {missing[0]!r}")
     kinds = next((rows[names[name]] for name in CLASSES if name in names), np.zeros(len(rows)))
+    plane = np.column_stack([rows[names[name]] for name in "xy"])
+    plane = plane[np.isfinite(plane).all(axis=1)]
+    if plane.dtype == np.float32 and (plane % 1).any():  # whole numbers are exact
+        largest, area = np.abs(plane).max(), float(np.ptp(plane, axis=0).prod())
+        if (rounding := float(np.spacing(largest))) > ROUGH * math.sqrt(area / len(plane)):
+            refuse(
+                "coordinates with more digits than the distance of the points",
+                f"{largest:.9g}, rounded to {rounding:.2g} since numbers have four bytes",
+                "write x and y as 'double', or subtract an origin before",
+            )
     return np.column_stack([rows[names[name]].astype(np.float64) for name in "xyz"]), kinds
 
 
@@ -453,8 +464,18 @@ def _vertical_unit(keys: dict[int, int], vertical: Any) -> str:
     if not name and vertical is not None:
         axes = [axis for axis in vertical.axis_info if axis.direction in ("up", "down")]
         name = axes[0].unit_name if axes else ""
+        if axes and axes[0].direction == "down":
+            refuse(
+                "heights that are positive upward",
+                "depths, positive downward",
+                TO_METRIC_HEIGHTS.format(-1),
+            )
     if name.lower() not in LENGTHS:
-        refuse("heights in a unit of length", f"the unit {name!r}", TO_METRIC_HEIGHTS)
+        refuse(
+            "heights in a unit of length",
+            f"the unit {name!r}",
+            TO_METRIC_HEIGHTS.format("METRES_PER_UNIT"),
+        )
     return name
 
 

@@ -31,9 +31,10 @@ TABLE: dict[str, Any] = read_table(__file__, "rasters.toml")
 FORMATS: dict[str, str] = {  # names of formats by their usual file endings
     each: name for endings, name in TABLE["endings"].items() for each in endings.split()
 }
-OPTIONS: dict[str, dict[str, str]] = {
-    "AAIGrid": {"DATATYPE": "Float64"}
-}  # the default loses digits
+OPTIONS: dict[str, dict[str, str]] = {  # the default loses digits
+    driver: {"DATATYPE": "Float64"} for driver in ("AAIGrid", "GRASSASCIIGrid")
+}
+KEYS: dict[str, str] = TABLE["keys"]  # of the headers of rasters as text, by driver
 # drivers that open files only by name, by the first bytes of the files
 BY_NAME = {head.encode("latin1"): driver for head, driver in TABLE["by_name"].items()}
 UNKNOWN = "not recognized as being in a supported file format"  # in errors of GDAL
@@ -42,6 +43,8 @@ EDITABLE = "GTiff", "HFA"  # formats whose missing value gdal_edit.py changes in
 # P2 or P5, then width, height and maximum, with comments between them; one blank ends the header
 PGM_HEADER = re.compile(rb"P([25])" + 3 * rb"(?:\s|#[^\r\n]*[\r\n])+(\d+)" + rb"(?:\r\n|\s)")
 FEET = "; for feet set terrain.vertical_scale = 0.3048"
+# axes of the coordinates in netCDF files, by their names, standard names and attributes axis
+COORDINATES = {word: axis for axis, words in TABLE["coordinates"].items() for word in words.split()}
 SHOWN = 20  # bytes of a damaged header in messages
 DEGREE = 1.11e5  # approximate length of a degree [m]
 OCCUPANCY = 205, 0, 254  # gray levels of map_server: unknown, occupied, free
@@ -51,6 +54,11 @@ TO_LEVELS = (
 )
 TO_GRAY = "keep only the band of heights: gdal_translate -b 1 in.tif out.tif"
 TO_REAL = "convert them: gdal_translate -ot Float32 in.tif out.tif"
+TO_HEIGHTS = (
+    "change their sign and state the horizontal system alone: gdal_calc.py -A in.tif --calc=-A "
+    "--outfile=out.tif, gdal_edit.py -a_srs EPSG:... out.tif"
+)
+DOWN = re.compile(r",\s*down\b", re.IGNORECASE)  # direction of an axis
 TO_METRES = "gdalwarp -t_srs {} in.tif out.tif"
 Registration = Literal["area", "point"]
 T = TypeVar("T")
@@ -200,7 +208,7 @@ def _use_dataset(path: Path, use: Callable[[Any, bool], T]) -> T:
     except DataError:
         raise
     except Exception as error:  # GDAL raises various exceptions for damaged files
-        words = re.sub(r"/vsi\w+/", "", str(error.__cause__ or error)).replace(name, path.name)
+        words = re.sub(rf"[^\s']*{re.escape(name)}", path.name, str(error.__cause__ or error))
         hint = TABLE["beginnings"].get(ending, "") if UNKNOWN in words else ""
         raise DataError(
             f"expected a readable {FORMATS.get(ending, 'raster')}, found {words.rstrip('.')}; "
@@ -281,8 +289,8 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
     window = (rows.start, rows.stop), (i.start, i.stop)
     if file.count > 1 and np.ptp(file.read((1, 2, 3), window=window), axis=0).any():
         refuse("heights", "the colours of a picture", TO_LEVELS.format("-b 1"))
-    if file.driver == "AAIGrid":
-        _check_numbers(path, file.shape, rows)
+    if file.driver in KEYS:
+        _check_numbers(path, file.driver, file.shape, rows)
     crs = place.crs or ("CRS not given" if place.placed else "placed by cell and registration")
     source = f"{TABLE['names'].get(file.driver, file.driver)} of {file.dtypes[0]}"
     scale, offset, unit = file.scales[0], file.offsets[0], file.units[0]
@@ -346,39 +354,58 @@ def _declaration(file: Any, name: str, _: Marker, value: str) -> str:
     return f"declare it: gdal_translate -a_nodata {value} {name} out.tif"
 
 
-def _check_numbers(path: Path, shape: tuple[int, int], used: range) -> None:
-    """Raise DataError for an ASCII grid with missing, surplus or non-numeric words.
+def _check_numbers(path: Path, driver: str, shape: tuple[int, int], used: range) -> None:
+    """Raise DataError for a raster as text with other words than its driver expects.
 
-    GDAL reads ``abc`` as 0 and ``1,2`` as 1.2, and ignores text behind the last height.
+    GDAL reads ``abc`` as 0, ``1,2`` as 1.2 and ``1D3`` as 1, takes a comment for heights, and
+    ignores text behind the last height.
     """
-    keys, found, columns = set(), 0, shape[1]
+    known, keys, found, lines = KEYS[driver].encode().split(), set[bytes](), 0, 0.0
+    # after its key, a grid of Surfer has sizes and limits, and rows from the south
+    first, used = (8, range(shape[0])) if driver == "GSAG" else (0, used)
+    total = first + math.prod(shape)
     with path.open("rb") as file:
         for n, words in enumerate(map(bytes.split, file), start=1):
-            rows = range(found // columns, (found + len(words)) // columns + 1)
+            key = b"".join(words[:1]).lower().removeprefix(BOM_UTF8)
+            is_key = not found and key in known and len(words) == (1 if first else 2)
+            if is_key and key in keys:
+                refuse(f"one {key.decode()!r} in the header", f"another in line {n}", "remove one")
+            rows = range((found - first) // shape[1], (found - first + len(words)) // shape[1] + 1)
             is_used = not found or (rows.start < used.stop and used.start < rows.stop)
-            wrong = _wrong_word(words) if is_used else None
-            if wrong is None:
-                found += len(words)
-            elif not found and len(words) == 2:  # a line of the header: a key and a number
-                keys.add(words[0].lower().removeprefix(BOM_UTF8))
-            else:
+            wrong = _wrong_word(words[is_key:]) if is_used else None
+            if wrong is not None:
                 command = f": tr , . < {shlex.quote(path.name)} > points.asc" * (b"," in wrong)
+                others = "" if found else f", after a key of {KEYS[driver]} or alone"
                 refuse(
-                    f"numbers in line {n}",
+                    f"numbers in line {n}{others}",
                     repr(wrong.decode(errors="replace")[:SHOWN]),
                     f"write numbers with decimal points, separated by blanks{command}",
                 )
-    if not (keys >= {b"xllcorner", b"yllcorner"} or keys >= {b"xllcenter", b"yllcenter"}):
+            if is_key:
+                keys.add(key)
+                continue
+            if first <= found < total:
+                lines += 1 if len(words) == shape[0] else -math.inf
+            found += len(words)
+    if driver == "AAIGrid" and not (
+        keys >= {b"xllcorner", b"yllcorner"} or keys >= {b"xllcenter", b"yllcenter"}
+    ):
         refuse(
             "xllcorner and yllcorner, or xllcenter and yllcenter, in the header",
             b", ".join(sorted(key for key in keys if key[1:4] == b"llc")).decode() or "none",
             "add or correct them",
         )
-    if found != math.prod(shape):
+    if found != total:
         refuse(
-            f"{math.prod(shape)} heights, ncols times nrows",
-            f"{found}",
+            f"{total - first} heights, ncols times nrows",
+            f"{found - first}",
             "correct the header, or copy the file again",
+        )
+    if shape[0] != shape[1] == lines:
+        refuse(
+            f"{shape[0]} rows of {shape[1]} heights",
+            f"{shape[1]} rows of {shape[0]}",
+            "exchange the numbers of columns and rows in the header",
         )
 
 
@@ -386,19 +413,23 @@ def _wrong_word(words: list[bytes]) -> bytes | None:
     word = b""
     try:
         for word in words:
-            float(word)
+            float(word.replace(b"_", b"?"))
     except ValueError:
         return word
     return None
 
 
-def _unit(file: Any) -> float:  # of the heights [m]
-    return LENGTHS[(file.units[0] or "").lower()]
+def _unit(file: Any) -> float:  # of the heights, NaN if it is not known [m]
+    return LENGTHS.get((file.units[0] or "").strip("[]() ").lower(), math.nan)
 
 
 def _check_band(file: Any) -> None:
-    """Raise DataError unless the file has a single band of heights in a known unit of length."""
+    """Raise DataError unless a file has one band of heights, upward in a known unit of length."""
     colours = [band.name for band in file.colorinterp[:3]]
+    if file.subdatasets:
+        names = [each.rpartition(":")[2] for each in file.subdatasets]
+        remedy = f"keep one: gdal_translate NETCDF:in.nc:{names[0]} out.tif"
+        refuse("one variable of heights", ", ".join(names), remedy)
     if file.count != 1 and colours != ["red", "green", "blue"]:
         refuse("one band of heights", f"{file.count} bands", TO_GRAY)
     kind = np.dtype(file.dtypes[0]).kind
@@ -413,12 +444,15 @@ def _check_band(file: Any) -> None:
             f"the scale {file.scales[0]:g} and the offset {file.offsets[0]:g}",
             "correct them: gdal_translate -a_scale 1 -a_offset 0 in.tif out.tif",
         )
-    if (file.units[0] or "").lower() not in LENGTHS:
+    if math.isnan(_unit(file)):
         refuse(
             "heights in a unit of length",
             f"the unit {file.units[0]!r}",
             f"correct it with gdal_edit.py -units; known units: {', '.join(sorted(LENGTHS)[1:])}",
         )
+    wkt = file.crs.to_wkt() if file.crs else ""
+    if file.tags(1).get("positive") == "down" or DOWN.search(wkt):
+        refuse("heights that are positive upward", "depths, positive downward", TO_HEIGHTS)
 
 
 def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
@@ -428,6 +462,12 @@ def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
             "a raster on a grid along x and y",
             f"{len(file.gcps[0])} ground control points",
             "resample it: gdalwarp in.tif out.tif",
+        )
+    if not is_placed and file.driver == "netCDF":
+        refuse(
+            "uniform coordinates x and y, with an attribute axis or standard_name",
+            "none",
+            "name them with xarray: d.x.attrs['axis'] = 'X'; d.y.attrs['axis'] = 'Y'",
         )
     if not is_placed:
         if ask.cell is None or ask.registration is None:
@@ -456,7 +496,43 @@ def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
     x, y, upward = _axes(file)
     middle = (axis.first + axis.step * (axis.size - 1) / 2 for axis in (x, y))
     name, geographic = system_name(crs, TO_METRES, *middle)
+    geographic |= file.driver == "netCDF" and _in_degrees(file, x, y)
     return _Place(x, y, upward, registration, name, geographic, placed=True)
+
+
+def _in_degrees(file: Any, x: UniformAxis, y: UniformAxis) -> bool:
+    """Return whether coordinates of a netCDF file are degrees; DataError if they are not the axes.
+
+    GDAL takes the last dimension for x, trusts copies of the coordinates, and ignores their units.
+    """
+    import rasterio
+
+    tags, is_degrees = file.tags(), False
+    for name in sorted({key.partition("#")[0] for key in tags if "#" in key}):
+        unit, *words = (tags.get(f"{name}#{key}", "") for key in ("units", "axis", "standard_name"))
+        roles = (COORDINATES.get(word) for word in (name.lower(), *words))
+        role = next(filter(None, roles), "")
+        if not role:
+            continue
+        with rasterio.open(f"netcdf:{file.name}:{name}") as column:
+            values = column.read(1)
+        if len(values) > 1:  # of each node
+            continue
+        axis = x if role == "x" else y
+        wrong = np.sort(values[0, [0, -1]]) - axis.nodes(slice(0, axis.size))[[0, -1]]
+        if unit.startswith("degree"):
+            is_degrees = True
+            wrong = (wrong + 180) % 360 - 180
+        elif LENGTHS.get(unit.lower()) != 1:
+            refuse(f"coordinates {name} in metres or degrees", f"the unit {unit!r}", "convert them")
+        if values.size != axis.size or np.abs(wrong).max() > axis.step / 10:
+            refuse(
+                f"heights along the coordinates {name}, {values[0, 0]:.9g} to {values[0, -1]:.9g}",
+                f"heights at {role} = {axis.first:.9g} to "
+                f"{axis.first + axis.step * (axis.size - 1):.9g} by their dimensions or attributes",
+                "write them with the dimensions y, x, without actual_range and GeoTransform",
+            )
+    return is_degrees
 
 
 def _axes(file: Any) -> tuple[UniformAxis, UniformAxis, bool]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Any, cast
 
 import numpy as np
@@ -24,6 +25,15 @@ MAX_LIMIT = 1e3  # larger limits are ignored [rad, m, rad/s or m/s]
 FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
 NOTHING: Mapping[str, str] = {}
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+ATTRIBUTES = {  # of elements; others are errors where one of the first four is missing
+    "origin": ("xyz", "rpy"),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"),
+    "mimic": ("joint", "multiplier", "offset"),
+    "mass": ("value",),
+    "inertia": MOMENTS,
+}
+NEAR = 0.8  # least similarity of a misspelt name
 TRIANGLE = 1e-3  # relative error of the triangle inequality from rounded moments of inertia
 
 
@@ -39,6 +49,8 @@ def read_tree(
     notes = xacro.substitute(robot, file, arguments)
     whole = robot
     robot, omitted = xacro.without_xacro(robot, file, findings)
+    for part in [*robot.all("link"), *robot.all("joint")]:
+        _check_names(part, findings, f"{part.tag} {part.attributes.get('name', '')!r}")
     for tag in ("link", "joint"):
         lines = defaultdict[str, list[int]](list)
         for element in robot.all(tag):
@@ -85,6 +97,22 @@ def read_tree(
     return with_separate_balls(
         tree.Tree(file, name, root, links, ordered, *control, omitted, notes, unknown)
     )
+
+
+def _check_names(part: Element, findings: tree.Findings, who: str) -> None:
+    """Add errors of misspelt elements, and of attributes in place of those of an element."""
+    tags = {child.tag for child in part.children}
+    for child in part.children:
+        names = xacro.PARTS - tags if child.tag not in xacro.PARTS else ()
+        for name in get_close_matches(child.tag.lower(), names, n=1, cutoff=NEAR):
+            message = f"{who}: expected <{name}>, found <{child.tag}>; correct the name"
+            findings.add(child.line, message)
+        known = ATTRIBUTES.get(child.tag, ())
+        wrong = [key for key in child.attributes if known and key not in known]
+        if wrong and not {*known[:4]} <= {*child.attributes}:
+            expected = f"{who}: {child.tag}: expected the attributes {', '.join(known)}"
+            findings.add(child.line, f"{expected}, found {', '.join(wrong)}; correct them")
+        _check_names(child, findings, who)
 
 
 class _UrdfElement:

@@ -204,9 +204,8 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
             link.name for link in used if link.mass is None and link.name in file.links
         ],
         "moments of inertia of a box or a cylinder, since those in the file are missing, "
-        "impossible, or too large for the vehicle, as in other units than kg m^2": [
-            link.name for link in used if link.mass and link.inertia is None
-        ],
+        "impossible, too large for the vehicle or too small for the mass, as in other units than "
+        "kg m^2": [link.name for link in used if link.mass and link.inertia is None],
         "of type fixed in the URDF, but treated as moving joints, since they or the joints that "
         'they mimic are in "joints"': [
             j.name for j in kept if j.moves and not file.joints.get(j.name, j).moves

@@ -26,6 +26,7 @@ from slipfree.geometry.frame import unit_vector
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN, RATE
 
+LEAST_MOMENTS = 5.8e-4  # sum of the moments of 1 kg in a ball of osmium, the densest [kg m^2]
 MAX_GYRATION = 5.0  # largest plausible radius of gyration of a link [extent of all links' origins]
 # a text is the kind of the joint
 EXPANDED = BeforeValidator(lambda value: {"kind": value} if isinstance(value, str) else value)
@@ -108,7 +109,8 @@ NO_ROLES = UrdfTable()
 def completed(tree: Tree, roles: UrdfTable) -> Tree:
     """Return a URDF completed by roles: new joints, released joints, axes and mass properties.
 
-    Moments of inertia that are too large for the vehicle, as in other units, are left out.
+    Moments of inertia too large for the vehicle or too small for the mass, as in other units, are
+    left out.
     A joint of type fixed that has an axis is released, so that it moves, if it or the joint that it
     mimics has a role other than ``"fixed"``.
     """
@@ -129,7 +131,12 @@ def completed(tree: Tree, roles: UrdfTable) -> Tree:
     largest = (MAX_GYRATION * float(np.ptp(places, axis=0).max())) ** 2 or np.inf
     links = {
         name: link._replace(inertia=None)
-        if link.inertia and link.mass and max(link.inertia[:3]) > largest * link.mass
+        if link.inertia
+        and link.mass
+        and (
+            max(link.inertia[:3]) > largest * link.mass
+            or sum(link.inertia[:3]) < LEAST_MOMENTS * link.mass ** (5 / 3)
+        )
         else link
         for name, link in tree.links.items()
     }
