@@ -15,8 +15,10 @@ from itertools import combinations
 from typing import Any
 
 import casadi as ca
+import common  # noqa: F401 - finds the helpers of tests
 import numpy as np
 
+from helpers.cases import conditions
 from slipfree import (
     Analytic,
     ModelError,
@@ -30,7 +32,7 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.control.path_following import path_inputs
-from slipfree.models.given_rates import EULER, PLANAR, VELOCITY, conditions
+from slipfree.models.given_rates import EULER, PLANAR, VELOCITY
 from slipfree.models.inverse import inverse_kinematics, steering_note
 from slipfree.solve.collocation import drive
 from slipfree.solve.initial_conditions import solve_initial_conditions
@@ -104,13 +106,11 @@ def condition_table() -> None:
     ]
     found: dict[str, Any] = {}
     for ground, height, where in (("flat", GROUNDS["flat"], [{}]), ("hills", rough, poses)):
-        terrain = Analytic(height)
-        run = moving(direct_kinematics(VEHICLE, terrain, slip=Rolling()), where)
+        direct = direct_kinematics(VEHICLE, Analytic(height), slip=Rolling())
+        run = moving(direct, where)
         for solve_for in ("rates", "angles"):
-            by_choice = conditions(VEHICLE, terrain, run, solve_for=solve_for)
-            found[f"{ground}, {solve_for}"] = by_choice
-    count = next(iter(found["hills, rates"].values())).size
-    print(f"\ncondition numbers; on rough hills over {count} poses: median, 90 %, largest")
+            found[f"{ground}, {solve_for}"] = conditions(direct, run, solve_for)
+    print(f"\ncondition numbers; on rough hills over {run.t.size} poses: median, 90 %, largest")
     print(f"{'':36}{'steering rate unknown':^39}{'steering angle unknown':^39}")
     print(f"{'given':36}" + 2 * f"{'flat':>9}{'median':>10}{'90 %':>10}{'largest':>10}")
     for given in found["flat, rates"]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.cases import closure_model, hills
+from helpers.cases import closure_model, conditions, hills
 from helpers.commands import refuses
 from slipfree import (
     Analytic,
@@ -24,7 +24,6 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.control.path_following import path_inputs
-from slipfree.models import given_rates
 from slipfree.models.given_rates import EULER, OMEGA, PLANAR, VELOCITY, omega
 from slipfree.models.inverse import inverse_kinematics, steering_note, steering_slip
 from slipfree.solve.collocation import drive
@@ -238,24 +237,13 @@ def moving(dae, stands):
     return to_trajectory(system, *complete_samples(system, Samples(np.arange(float(n)), *columns)))
 
 
-def conditions(ground, run, solve_for):
-    """Return condition numbers for each choice of three platform rates, infinite if singular."""
-    direct = closure_model(three_wheeler(), ground, slip=Rolling())
-    choices, slip = [*combinations((*VELOCITY, *OMEGA), 3)], given_rates.slip_columns(direct)
-    matrices = [slip.matrix(given, solve_for)[0] for given in choices]
-    function = direct.function("matrices", list(direct.columns()), matrices)
-    found = function.map(run.t.size)(*(direct.rows(record, run) for record in "xzu"))
-    sizes = [np.linalg.cond(given_rates.samples_first(each, run.t.size)) for each in found]
-    return dict(zip(choices, np.where(np.array(sizes) < 1e9, sizes, np.inf), strict=True))
-
-
 def test_conditions_on_flat_ground():
     dae = closure_model(three_wheeler(), FLAT, slip=Rolling())
     run = moving(dae, [settle(dae, heading=0.0)])
-    by_rate = conditions(FLAT, run, "rates")
+    by_rate = conditions(dae, run, "rates")
     assert len(by_rate) == 20
     assert all(np.isinf(value).all() for value in by_rate.values())
-    by_angle = conditions(FLAT, run, "angles")
+    by_angle = conditions(dae, run, "angles")
     usable = {given: value[0] for given, value in by_angle.items() if np.isfinite(value[0])}
     assert list(usable) == [("velocity_x", "velocity_y", "omega_z")]
     assert_allclose(usable["velocity_x", "velocity_y", "omega_z"], 5.9, atol=0.05)
@@ -274,8 +262,8 @@ def test_conditions_on_hills(rng):
         except ModelError:
             continue  # a second touch
     run, best = moving(dae, stands), ("velocity_x", "velocity_y", "omega_z")
-    by_rate = conditions(ground, run, "rates")
-    by_angle = conditions(ground, run, "angles")
+    by_rate = conditions(dae, run, "rates")
+    by_angle = conditions(dae, run, "angles")
     assert 12 < np.median(by_rate[best]) < 35
     assert min(by_rate, key=lambda given: np.median(by_rate[given])) == best
     assert 5.8 < np.median(by_angle[best]) < 6.2

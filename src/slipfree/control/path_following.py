@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import pi, tan
 from typing import NamedTuple
@@ -17,9 +17,8 @@ from slipfree.core.rearrange import substitute, with_outputs
 from slipfree.core.records import Array, Label, Record, leaves, unpack
 from slipfree.core.schema import Finite, Positive
 from slipfree.core.trajectory import Trajectory
-from slipfree.geometry.frame import Pose
 from slipfree.geometry.path import Path, spline_function
-from slipfree.models.given_rates import COMMANDS, PLANAR
+from slipfree.models.given_rates import COMMANDS, PLANAR, turning_effects
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
@@ -292,14 +291,22 @@ def planar_geometry(vehicle: Vehicle, states: dict[str, ca.SX]) -> _PlanarGeomet
     its commanded coordinates by name. ModelError is raised if the vehicle has neither steered
     wheels nor driven wheels on both sides.
     """
-    planar, fixed = [], []
-    for wheel, (pose, effects, leans, swivels) in zip(
-        vehicle.wheels, _wheel_mobility(vehicle, states), strict=True
-    ):
+    passive, planar, fixed = {c.name: ca.SX.sym(c.name) for c in vehicle.of("passive")}, [], []
+    effects = turning_effects(vehicle, states, "commanded")
+    swivels = {k for each in turning_effects(vehicle, passive, "passive").values() for k in each}
+    column = ca.vertcat(ca.SX(0, 1), *passive.values())
+    axles = ca.vertcat(*(pose.rotation[2, 0] for pose in vehicle.carriers(values=passive)))
+    slopes = ca.substitute(ca.jacobian(axles, column), column, ca.DM.zeros(len(passive)))
+    tilts = np.abs(np.array(ca.evalf(slopes))) > ZERO_TOLERANCE  # sideways, of every wheel
+    poses = vehicle.carriers(values=states)
+    for k, (wheel, pose) in enumerate(zip(vehicle.wheels, poses, strict=True)):
         angle = ca.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
-        each = _PlanarWheel(wheel, pose.origin[0], pose.origin[1], angle, effects, leans)
+        own = {name: of_wheels[k] for name, of_wheels in effects.items() if k in of_wheels}
+        leaning = [name for name, is_tilted in zip(passive, tilts[k], strict=True) if is_tilted]
+        leans = leaning[0] if leaning and wheel.driven else None
+        each = _PlanarWheel(wheel, pose.origin[0], pose.origin[1], angle, own, leans)
         planar.append(each)
-        if not (effects or swivels or wheel.rollers):
+        if not (own or k in swivels or wheel.rollers):
             fixed.append(each)
     zeros = ca.vertcat(ca.SX(0, 1), *states.values()), ca.DM.zeros(len(states))
 
@@ -322,42 +329,6 @@ def planar_geometry(vehicle: Vehicle, states: dict[str, ca.SX]) -> _PlanarGeomet
         rights = sum(now(f.right) ** 2 for f in fixed)
         gain = (rights + sum(now(f.forward) ** 2 for f in fixed)) / rights
     return _PlanarGeometry(tuple(planar), steered, float(max(lengths)), -axis, gain)
-
-
-def _wheel_mobility(
-    vehicle: Vehicle, states: dict[str, ca.SX]
-) -> Iterator[tuple[Pose, dict[str, ca.SX], str | None, bool]]:
-    """Yield the pose of every wheel in the level platform's frame, and its steering and tilting.
-
-    The second value maps commanded coordinates to their effect on the wheel's heading. The third is
-    the passive coordinate that tilts the wheel sideways; None if there is no such coordinate or the
-    wheel is not driven. The last is whether a passive coordinate swivels the wheel about the
-    vertical.
-    """
-    passive = {c.name: ca.SX.sym(c.name) for c in vehicle.of("passive")}
-    poses = vehicle.carriers(values=states | passive)
-    symbols = ca.vertcat(ca.SX(0, 1), *states.values(), *passive.values())
-    level = ca.vertcat(ca.SX(0, 1), *passive.values())
-    for wheel, pose in zip(vehicle.wheels, poses, strict=True):
-        angle = ca.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
-
-        def at_zero(value: ca.SX) -> Array:
-            return np.array(ca.evalf(ca.substitute(value, symbols, ca.DM.zeros(symbols.numel()))))
-
-        turns = at_zero(ca.jacobian(angle, symbols)).ravel()
-        tilts = at_zero(ca.jacobian(pose.rotation[2, 0], level)).ravel()
-        leaning = [
-            name for name, tilt in zip(passive, tilts, strict=True) if abs(tilt) > ZERO_TOLERANCE
-        ]
-        upright = Pose(*ca.substitute(list(pose), [level], [ca.SX.zeros(level.numel())]))
-        angle = ca.atan2(upright.rotation[1, 0], upright.rotation[0, 0])
-        effects = {
-            name: ca.jacobian(angle, symbol)
-            for (name, symbol), turn in zip(states.items(), turns[: len(states)], strict=True)
-            if abs(turn) > ZERO_TOLERANCE
-        }
-        leans = leaning[0] if leaning and wheel.driven else None
-        yield upright, effects, leans, bool((np.abs(turns[len(states) :]) > ZERO_TOLERANCE).any())
 
 
 def turning_axis_offset(vehicle: Vehicle) -> float:

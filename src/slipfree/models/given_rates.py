@@ -288,17 +288,24 @@ def _inputs(vehicle: Vehicle) -> list[str]:
 
 
 def steering_effects(direct: Dae, kind: Kind = "commanded") -> dict[str, dict[int, ca.SX]]:
+    """Return the effects of coordinates of a model; see `turning_effects`."""
+    values = {c.name: direct.named(c.name)[0] for c in direct.vehicle.coordinates}
+    return turning_effects(direct.vehicle, values, kind)
+
+
+def turning_effects(
+    vehicle: Vehicle, values: Mapping[str, ca.SX], kind: Kind
+) -> dict[str, dict[int, ca.SX]]:
     """Return the effects of coordinates of a kind on the directions of wheels.
 
     The result maps names of coordinates to effects by wheel number, the derivatives of the wheel's
     direction: its angle about the platform's up axis, positive to the left. Coordinates without
-    effect are omitted. [rad/rad, rad/m]
+    effect are omitted. ``values`` are symbols of coordinates by name, zero if omitted.
+    [rad/rad, rad/m]
     """
-    vehicle = direct.vehicle
-    values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
     poses = vehicle.carriers(values=values)
     angles = ca.vertcat(*(ca.atan2(pose.rotation[1, 0], pose.rotation[0, 0]) for pose in poses))
-    column, effects = ca.vertcat(*values.values()), dict[str, dict[int, ca.SX]]()
+    column, effects = ca.vertcat(ca.SX(0, 1), *values.values()), dict[str, dict[int, ca.SX]]()
     for c in vehicle.of(kind):
         effect = ca.jacobian(angles, values[c.name])
         level = ca.evalf(ca.substitute(effect, column, ca.SX.zeros(column.shape)))

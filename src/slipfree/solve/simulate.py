@@ -163,7 +163,7 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
     t, x, z, u = float(samples.t[k]), samples.x[:, k], samples.z[:, k], samples.u[:, k]
     soon = x
     if violation is None:
-        if not _is_solved(system, t, x, z, u):
+        if _jump(system, t, x, z, u, continuation=False) >= MIN_JUMP:
             return None  # the integrator failed at its start after a jump of the inputs
         rates = np.array(system.core(t, x, z[: system.motion_size], u)[0]).ravel()
         soon = x + PREDICTION_TIME * rates
@@ -178,8 +178,11 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
         return None
     jump = _change(system, z, solution)
     k = int(jump.argmax())
+    # After a tenth of the prediction time, a jump is as large as after the whole time; continuous
+    # changes are smaller.
     sooner = x + SHARE * (soon - x)
-    lasts = violation is None and _jump_persists(system, t, sooner, z, u, least=float(jump[k]) / 2)
+    may_last = violation is None and jump[k] >= MIN_LASTING_JUMP
+    lasts = may_last and _jump(system, t, sooner, z, u) >= jump[k] / 2
     if jump[k] < MIN_JUMP and not lasts:
         return None
     label = list(leaves(system.dae.labels.z))[k]
@@ -194,29 +197,15 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
     )
 
 
-def _is_solved(system: System, t: float, x: Array, z: Array, u: Array) -> bool:
-    """Return whether a sample solves the equations; also True if Newton's method fails."""
+def _jump(
+    system: System, t: float, x: Array, z: Array, u: Array, *, continuation: bool = True
+) -> float:
+    """Return the largest change to a solution, in typical sizes; NaN if Newton's method fails."""
     try:
-        solution = solve_initial_conditions(system, t, x, z, u, continuation=False)
+        solution = solve_initial_conditions(system, t, x, z, u, continuation=continuation)
     except ModelError:
-        return True  # nothing to compare with
-    return bool(_change(system, z, solution).max() < MIN_JUMP)
-
-
-def _jump_persists(system: System, t: float, x: Array, z: Array, u: Array, *, least: float) -> bool:
-    """Return whether an unknown jumps by at least ``least`` typical sizes at the states ``x``.
-
-    The states ``x`` are reached after a tenth of the prediction time. A jump is then as large as
-    after the whole time; continuous changes are smaller. A change below `MIN_LASTING_JUMP` is not
-    a jump.
-    """
-    if 2 * least < MIN_LASTING_JUMP:
-        return False
-    try:
-        solution = solve_initial_conditions(system, t, x, z, u)
-    except ModelError:
-        return False
-    return bool(_change(system, z, solution).max() >= least)
+        return np.nan  # nothing to compare with
+    return float(_change(system, z, solution).max())
 
 
 def _change(system: System, z: Array, found: Array) -> Array:
