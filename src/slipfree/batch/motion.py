@@ -49,7 +49,7 @@ SETTLED = 1e-3  # correction of the positions beyond a limit [typical sizes]
 POSITION_STEPS = 12  # most Newton steps of the positions at samples
 POSITION_CHANGE = 1e-6  # change that needs another step: the error is its square [typical sizes]
 FORCE_STEPS = 4  # Newton steps of the forces at a start, and repeated ones of a sample
-FORCE_CHANGE = 1e-12  # last one at a start [sum of the forces]
+FORCE_CHANGE = 1e-6  # last one at a start, after which the error is 1e-12 [sum of the forces]
 RATES, CHANGE, ERROR, FORCES, DOUBT, DISTANCES = 2, 3, 4, 6, 7, 8  # parts of the graph "checked"
 COMPLETE, UNSOLVED, INVALID_START, LOST, TOO_FAST = -1, -2, -3, -4, -5  # ends without a limit
 

@@ -25,6 +25,7 @@ from slipfree.system.regular_files import make_folder, replace_file
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.solids import Prism
 
+COMPRESSION = {"compress_level": 3}  # files larger by 5 % in 0.6 of the time
 MAIN_COUNT = 4  # number of figures that are drawn unless all are requested
 PANEL = 38.0  # height of a panel [mm]
 MARGIN = 24.0  # height of legend, axis and note of a figure [mm]
@@ -109,5 +110,6 @@ def _save_figure(plot: Plot, folder: Path, formats: Sequence[str]) -> list[Path]
         style.lay_out(figure)
         figure.set_layout_engine(None)  # otherwise savefig draws everything once for the layout
         for file in files:
-            replace_file(file, partial(figure.savefig, dpi=DPI))
+            more: dict[str, Any] = {"pil_kwargs": COMPRESSION} if file.suffix == ".png" else {}
+            replace_file(file, partial(figure.savefig, dpi=DPI, **more))
     return files
