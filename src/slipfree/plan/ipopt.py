@@ -27,6 +27,7 @@ MAX_FUTILE_ITERATIONS = 150  # without halving the violation; up to 97 in succes
 RISING_SPAN = 10  # iterations after which a larger violation counts as rising
 LEAST_SECONDS = 1e-3  # smallest time limit: IPOPT then evaluates its first iterate
 MAX_ITERATIONS = 500
+MAX_FIRST_ITERATIONS = 200  # of a search whose solution only begins the next one
 MAX_VIOLATION_GROWTH = 10.0  # searches stall more often with larger values
 IPOPT_TOLERANCE = 1e-8
 WARM_BARRIER = 1e-5  # initial barrier parameter of a start near a solution
@@ -39,12 +40,6 @@ WARM_OPTIONS: dict[str, Any] = {
     **{f"warm_start_{name}_push": WARM_PUSH for name in ("bound", "slack_bound", "mult_bound")},
     "warm_start_bound_frac": WARM_PUSH,
     "warm_start_slack_bound_frac": WARM_PUSH,
-}
-ROUGH_OPTIONS: dict[str, Any] = {  # for solutions from which only another search starts
-    "max_iter": 200,
-    "tol": 1e-3,
-    "mu_target": NEXT_BARRIER,  # distance of limits from which the next search starts
-    "constr_viol_tol": VIOLATION_TOLERANCE,
 }
 QUASI_DENSE_ORDERING = 6  # of MUMPS: for a few dense rows, such as that of a free duration
 QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "record_time": True}
@@ -160,12 +155,9 @@ def solve_program(
     *,
     warm: NlpSolution | None = None,
     iterations: int = MAX_ITERATIONS,
-    rough: bool = False,
     on_iterate: IterateCallback | None = None,
 ) -> NlpSolution:
     """Return the solution of a nonlinear program, warm-started by the multipliers of ``warm``.
-
-    The cost of a ``rough`` solution is only near the least one.
 
     If IPOPT fails, return the iterate with the smallest constraint violation; if it reports an
     infeasible problem, its last iterate. The search ends at the deadline of the task, or after
@@ -182,11 +174,9 @@ def solve_program(
     }
     if warm is not None:
         arguments |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
-    ipopt = {
-        **({} if warm is None else WARM_OPTIONS),
+    ipopt = ({} if warm is None else WARM_OPTIONS) | {
         "max_iter": iterations,
         "max_wall_time": min(seconds_left(program.task.deadline), 1e20),  # IPOPT's default
-        **(ROUGH_OPTIONS if rough else {}),
     }
     if warm is not None and program.task.dae.replay:  # see "mu_strategy" in `_ipopt_solver`
         ipopt["mu_init"] = WARM_MONOTONE_BARRIER
@@ -222,13 +212,14 @@ def warm_solver(program: Program, iterations: int, *, full_steps: bool = True) -
 def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, Any]) -> ca.Function:
     """Return the ``casadi.nlpsol`` function of a program, with options for IPOPT and for CasADi."""
     own: dict[str, Any] = {
-        # Contact forces as unknowns require the monotone strategy (docs/decisions.md).
-        "mu_strategy": "monotone" if program.task.dae.replay else "adaptive",
-        "mu_init": MONOTONE_BARRIER,
+        "mu_strategy": "adaptive",
         "honor_original_bounds": "yes",
         "mumps_pivot_order": QUASI_DENSE_ORDERING,
         "theta_max_fact": MAX_VIOLATION_GROWTH,
     }
+    if program.task.dae.replay:
+        # Contact forces as unknowns require the monotone strategy (docs/decisions.md).
+        own |= {"mu_strategy": "monotone", "mu_init": MONOTONE_BARRIER}
     exact: dict[str, Any] = {
         **QUIET,
         "ipopt": IPOPT_OPTIONS | own | ipopt,

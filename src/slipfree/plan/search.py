@@ -21,6 +21,8 @@ from slipfree.plan.explanation import Relaxation, relax
 from slipfree.plan.ipopt import (
     ENDED_STATUSES,
     ITERATIONS_STATUS,
+    MAX_FIRST_ITERATIONS,
+    MAX_ITERATIONS,
     TIME_STATUS,
     Iterate,
     NlpSolution,
@@ -240,8 +242,8 @@ def solve_guesses(
 ) -> list[SearchState]:
     """Solve the program of a task from each guess, and return the solutions, best first.
 
-    With more than `MOST_AT_ONCE` intervals, each guess is first solved roughly on meshes of half
-    and, if need be, of a quarter and fewer of them; a failure there is the result.
+    With more than `MOST_AT_ONCE` intervals, each guess is first solved on meshes of half and, if
+    need be, of a quarter and fewer of them; a failure there is the result.
     """
     programs = [transcribe(task, mesh, options)]
     while mesh.ends.size - 1 > max(MOST_AT_ONCE, 4 * len(task.conditions)):
@@ -253,15 +255,11 @@ def solve_guesses(
     for number, (name, guess) in enumerate(guesses, 1):
         of = f"guess {number} of {len(guesses)}, " if len(guesses) > 1 else ""
         program, *finer = programs
-        first = guess_unknowns(program, guess)
-        search = _solve_in_stages(program, first, of, progress, rough=bool(finer))
+        search = _solve_in_stages(program, guess_unknowns(program, guess), of, progress)
         for program in finer:
             if search.found.success and search.found.status != TIME_STATUS:
-                words, rough = (
-                    f"{of}{program.mesh.ends.size - 1} intervals",
-                    program is not finer[-1],
-                )
-                search = _solve_anew(search, program, words, progress, rough=rough, near=True)
+                words = f"{of}{program.mesh.ends.size - 1} intervals"
+                search = _solve_anew(search, program, words, progress, near=True)
         searches.append(search._replace(name=name, number=number))
         if search.found.status in ENDED_STATUSES:
             break
@@ -347,18 +345,17 @@ def _rank(search: SearchState) -> tuple[bool, float]:
 
 
 def _solve_in_stages(
-    program: Program, first: Array, of: str, progress: PlanProgress | None, *, rough: bool = False
+    program: Program, first: Array, of: str, progress: PlanProgress | None
 ) -> SearchState:
-    """Solve the program; if slip is a cost, start from a rough solution without this cost."""
+    """Solve the program; if slip is a cost, start from the solution without this cost."""
     slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
-    words, part = (f"{of}without slip cost", 0.0) if slips else (f"{of}all costs", 1.0)
-    search = _solve_stage(program, first, words, part, progress, rough=rough or slips)
+    words = f"{of}without slip cost" if slips else f"{of}all costs"
+    search = _solve_stage(program, first, words, 0.0 if slips else 1.0, progress)
     best = search.found
     # a motion that meets all constraints is enough to start from
     is_met = largest_violation(program, best.rows) <= VIOLATION_TOLERANCE
     if slips and (best.success or (is_met and best.status == ITERATIONS_STATUS)):
-        words = f"{of}with slip cost"
-        more = _solve_stage(program, best.unknowns, words, 1.0, progress, best, rough=rough)
+        more = _solve_stage(program, best.unknowns, f"{of}with slip cost", 1.0, progress, best)
         stages, status = search.stages + more.stages, more.found.status
         worst = largest_violation(program, more.found.rows)
         if not more.found.success and worst > VIOLATION_TOLERANCE:
@@ -402,12 +399,17 @@ def _solve_stage(
     part: float,
     progress: PlanProgress | None,
     warm: NlpSolution | None = None,
-    *,
-    rough: bool = False,
 ) -> SearchState:
     on_iterate = None if progress is None else lambda iterate: progress(words, iterate)
-    weights = cost_weights(program, part)
-    solution = solve_program(program, weights, first, warm=warm, rough=rough, on_iterate=on_iterate)
+    most = MAX_ITERATIONS if part else MAX_FIRST_ITERATIONS
+    solution = solve_program(
+        program,
+        cost_weights(program, part),
+        first,
+        warm=warm,
+        iterations=most,
+        on_iterate=on_iterate,
+    )
     names = ("iterations", "status", "seconds", "cost")
     stage = SolvedStage(words, *(getattr(solution, name) for name in names))
     return SearchState(program, solution, first, (stage,))
@@ -445,13 +447,12 @@ def _solve_anew(
     words: str,
     progress: PlanProgress | None,
     *,
-    rough: bool = False,
     near: bool = False,
 ) -> SearchState:
-    """Solve another program from a solution, which is ``near`` if only the mesh is much finer."""
+    """Solve another program from a solution, which is ``near`` if the whole mesh is finer."""
     first = transfer_motion(motion_of(search.program, search.found.unknowns), program)
     warm = _warm_guess(program, first)._replace(iterations=int(near))
-    more = _solve_stage(program, first, words, 1.0, progress, warm, rough=rough)
+    more = _solve_stage(program, first, words, 1.0, progress, warm)
     return more._replace(stages=search.stages + more.stages, name=search.name, number=search.number)
 
 
