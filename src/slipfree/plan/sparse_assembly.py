@@ -10,6 +10,7 @@ matrices by index.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import casadi as ca
@@ -24,6 +25,7 @@ from slipfree.system.codegen_cache import compiled_functions
 Index = npt.NDArray[np.intp]
 DERIVATIVE_ORDER = 4  # of the ground height: two in the model, two more in the Hessian
 Columns = Sequence[ca.MX]
+BlockFunctions = tuple[ca.Function, ca.Function, ca.Function, ca.Function, ca.Function]
 # results of the functions of a block, by rows and columns: unknowns "v", rows "g", or one
 RESULTS = {
     "cost": [("", "")],
@@ -77,10 +79,30 @@ def nlp_block(
     """
     lookups = needed_lookups(lookups, [cost, rows])
     check_order(lookups, DERIVATIVE_ORDER, "a plan")
-    v, arguments = symbols[0], [*symbols, found_column(lookups)]
     # Derivatives of these rows have few common subexpressions (5 % of the operations of Hessians);
     # the search for them would take a third of a transcription.
-    cost, rows = ca.densify(cost), ca.cse(ca.densify(rows))
+    results = [ca.densify(cost), ca.cse(ca.densify(rows))]
+    values = ca.Function("values", [*symbols, found_column(lookups)], results)
+    block_lookups = tuple(
+        BlockLookup(
+            ca.Function("argument", [*symbols, found_column(lookups[:k])], [each.argument]),
+            each.function,
+        )
+        for k, each in enumerate(lookups)
+    )
+    functions = differentiate_block(values.serialize(), compiled=compiled)
+    return NlpBlock(*functions, block_lookups, *indices, constants)
+
+
+@lru_cache(maxsize=8)
+def differentiate_block(text: str, *, compiled: bool) -> BlockFunctions:
+    """Return the functions of `NlpBlock`; cached, since blocks are equal on all meshes.
+
+    ``text`` is the serialised function ``(v, q, p, c) -> (cost, rows)``.
+    """
+    values = ca.Function.deserialize(text)
+    arguments = values.sx_in()
+    v, (cost, rows) = arguments[0], values.call(arguments)
 
     def large() -> list[ca.Function]:
         s, multipliers = ca.SX.sym("s"), ca.SX.sym("l", rows.numel())
@@ -91,26 +113,10 @@ def nlp_block(
             ca.Function("hessian", [*arguments, s, multipliers], [hessian]),
         ]
 
-    key = ca.Function("values", arguments, [cost, rows])
-    block_lookups = tuple(
-        BlockLookup(
-            ca.Function("argument", [*symbols, found_column(lookups[:k])], [each.argument]),
-            each.function,
-        )
-        for k, each in enumerate(lookups)
-    )
     names = ("rows", "jacobian", "hessian")
-    of_rows, jacobian, hessian = compiled_functions(key, names, large, compiled=compiled)
-    return NlpBlock(
-        ca.Function("cost", arguments, [cost]),
-        ca.Function("gradient", arguments, [cost, ca.gradient(cost, v)]),
-        of_rows,
-        jacobian,
-        hessian,
-        block_lookups,
-        *indices,
-        constants,
-    )
+    of_rows, jacobian, hessian = compiled_functions(values, names, large, compiled=compiled)
+    gradient = ca.Function("gradient", arguments, [cost, ca.gradient(cost, v)])
+    return ca.Function("cost", arguments, [cost]), gradient, of_rows, jacobian, hessian
 
 
 class ProgramFunctions(NamedTuple):
@@ -196,20 +202,32 @@ def _evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) ->
         )
     work: dict[int, ca.MX] = {}
     results = [[ca.MX(0)] * function.nnz_out(k) for k in range(function.n_out())]
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
-        source, target = function.instruction_input(k), function.instruction_output(k)
+    for operation, source, target, constant in instructions_of(function):
         if operation == ca.OP_INPUT:
             work[target[0]] = arguments[source[0]][source[1]]
         elif operation == ca.OP_OUTPUT:
             results[target[0]][target[1]] = work[source[0]]
         elif operation == ca.OP_CONST:
-            work[target[0]] = ca.MX(function.instruction_constant(k))
+            work[target[0]] = ca.MX(constant)
         elif len(source) == 1:
             work[target[0]] = ca.MX.unary(operation, work[source[0]])
         else:
             work[target[0]] = ca.MX.binary(operation, work[source[0]], work[source[1]])
     return results
+
+
+@lru_cache(maxsize=32)
+def instructions_of(function: ca.Function) -> list[tuple[int, list[int], list[int], float]]:
+    """Return operations, indices of arguments and results, and constants of a function; cached."""
+    return [
+        (
+            operation := function.instruction_id(k),
+            function.instruction_input(k),
+            function.instruction_output(k),
+            function.instruction_constant(k) if operation == ca.OP_CONST else 0.0,
+        )
+        for k in range(function.n_instructions())
+    ]
 
 
 def _gather(values: ca.MX, where: Index) -> ca.MX:
