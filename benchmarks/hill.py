@@ -143,5 +143,5 @@ def main() -> None:
         for low, high, count, error in scores[0.0, 5.0].slip()
     )
     print(f"\nerror of slip: {', '.join(slips)}")
-    for name, *_, value, deviation, low, high, _, _ in constant_rows(fit)[1]:
+    for name, *_, value, deviation, low, high, _, _ in map(dict.values, constant_rows(fit)):
         print(f"{name} {value:.3f} ({low:.3f} to {high:.3f}), deviation {deviation:.3f}")

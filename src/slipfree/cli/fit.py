@@ -91,7 +91,7 @@ def _write_fit(
     file: Path, work: _FitWork, out: Path | None, write: Path | None, *, force: bool, draw: bool
 ) -> None:
     """Solve a fit, print its facts, and write its files."""
-    from slipfree.files.tables import write_rows
+    from slipfree.files.tables import write_records
 
     table = out or default_table(file, "fit", work.inputs)
     kept = table.with_suffix(".nc")
@@ -102,7 +102,7 @@ def _write_fit(
     with held_interrupt(from_first_poll=True):
         result = work.solve()
         files_written = [
-            save(path, partial(write_rows, names=rows[0], rows=rows[1]))
+            save(path, partial(write_records, records=rows))
             for path, rows in zip(tables, result.tables, strict=True)
         ]
         if result.save is not None:
@@ -134,7 +134,7 @@ class _FitResult(NamedTuple):
     """Result of a fit, for the output of the command."""
 
     facts: Lines
-    tables: list[tuple[list[str], list[list[Any]]]]
+    tables: list[list[dict[str, Any]]]
     objects: dict[str, list[dict[str, Any]]]  # of the JSON output
     text: Callable[[], str]
     plot: Callable[[str], Plot]
@@ -153,10 +153,6 @@ class _FitWork(NamedTuple):
     data: str = ""
     remedy: str = ""
     is_without_vehicle: bool = False
-
-
-def _objects(table: tuple[list[str], list[list[Any]]]) -> list[dict[str, Any]]:
-    return [dict(zip(table[0], row, strict=True)) for row in table[1]]
 
 
 def _log_fit(
@@ -201,10 +197,10 @@ def _log_fit(
         else:
             result = verb.fit(problem, predict)
         fitted, tables = result.fit, [verb.error_rows(result.scores), verb.window_rows(result)]
-        objects = {"errors": _objects(tables[0])}
+        objects = {"errors": tables[0]}
         if fitted is not None:
             tables.insert(0, verb.constant_rows(fitted))
-            objects["estimates"] = _objects(tables[0])
+            objects["estimates"] = tables[0]
         return _FitResult(
             verb.facts(result),
             tables,
@@ -237,7 +233,7 @@ def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
         return _FitResult(
             wheel_test.fit_facts(fitted),
             [constants, wheel_test.point_rows(fitted)],
-            {"errors": wheel_test.error_rows(fit), "estimates": _objects(constants)},
+            {"errors": wheel_test.error_rows(fit), "estimates": constants},
             partial(wheel_test.soil_text, fitted),
             lambda name: soil_plot(name, fitted.runs.values, fit),
             tuple(name for name in fit.estimate.undetermined if name not in fitted.priors),
@@ -285,7 +281,7 @@ def wheel(
             return
         if write:
             raise ModelError(f"{file}: expected --fit with --write, found none; add --fit")
-        from slipfree.files.tables import write_rows
+        from slipfree.files.tables import write_records
         from slipfree.problem.wheel_test import (
             measured_points,
             run_wheel_file,
@@ -297,8 +293,7 @@ def wheel(
         table = out or default_table(file, "wheel", test.file.files)
         picture = table.with_suffix(".png") if draw else None
         check_outputs([table, picture], test.file.files)
-        names, rows = wheel_rows(test.curves)
-        files = [save(table, lambda path: write_rows(path, names, rows))]
+        files = [save(table, partial(write_records, records=wheel_rows(test.curves)))]
         console.print_facts(wheel_facts(test))
         if picture is not None:
             from slipfree.show.sweep_figures import wheel_plot

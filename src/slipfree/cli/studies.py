@@ -115,7 +115,7 @@ def pareto(
         Number of processes.
     """
     from slipfree.files.netcdf import write
-    from slipfree.files.tables import write_rows
+    from slipfree.files.tables import write_records
     from slipfree.problem.inputs import files_read
     from slipfree.problem.pareto import (
         GIVEN,
@@ -142,8 +142,7 @@ def pareto(
         solve = partial(plan_front, processes=processes, report=reports.search, keep=keep)
         front = solve(problem, against, points, parts=parts)
         rows = front_rows(front)
-        lines = [[*row.values()] for row in rows]
-        save(folder / FRONT[0], lambda path: write_rows(path, [*rows[0]], lines))
+        save(folder / FRONT[0], lambda path: write_records(path, rows))
         code = front.outcome.exit_code
         is_interrupted = interrupt_requested() or code == console.INTERRUPTED
         if not is_interrupted:

@@ -129,7 +129,7 @@ class Columns(NamedTuple):
         return [*zip(*(column.tolist() for column in self.values.values()), strict=True)]
 
 
-def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+def write_rows(path: Path, names: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
     """Write a table of comma-separated values; an existing file is replaced when it is complete."""
     with (
         replacing(path) as part,
@@ -138,6 +138,11 @@ def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(names)
         writer.writerows(rows)
+
+
+def write_records(path: Path, records: Sequence[Mapping[str, object]]) -> None:
+    """Write a table whose rows are records with the same names, as `write_rows` does."""
+    write_rows(path, [*next(iter(records), {})], (record.values() for record in records))
 
 
 def read_names(path: Path, expected: str) -> list[str]:

@@ -518,15 +518,11 @@ def parse_unit(value: Any) -> Any:
 def _reader(unit: type[WithUnit], text: str) -> WrapValidator:
     def read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
         parsed = parse_unit(value)
-        if not isinstance(parsed, WithUnit):
-            if isinstance(parsed, str):
-                raise expected_error(text)
-            number: float = validate(parsed)
-            return number
-        if not isinstance(parsed, unit):
+        has_unit = isinstance(parsed, WithUnit)
+        if isinstance(parsed, str) or (has_unit and not isinstance(parsed, unit)):
             raise expected_error(text)
-        validate(float(parsed))
-        return parsed
+        number: float = validate(float(parsed) if has_unit else parsed)
+        return parsed if has_unit else number
 
     return WrapValidator(read)
 

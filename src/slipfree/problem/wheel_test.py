@@ -328,14 +328,14 @@ def wheel_facts(test: WheelTest) -> Lines:
     return facts
 
 
-def wheel_rows(curves: WheelCurves) -> tuple[list[str], list[list[float]]]:
-    """Return column names and rows of the curves, in SI units; angles in radians."""
-    rows = [
-        [float(angle), float(slip), *(float(getattr(curves, name)[k, i]) for name in QUANTITIES)]
+def wheel_rows(curves: WheelCurves) -> list[dict[str, float]]:
+    """Return the rows of a table of the curves, in SI units; angles in radians."""
+    return [
+        {"slip_angle": float(angle), "slip": float(slip)}
+        | {name: float(getattr(curves, name)[k, i]) for name in QUANTITIES}
         for k, angle in enumerate(curves.angle)
         for i, slip in enumerate(curves.slip)
     ]
-    return ["slip_angle", "slip", *QUANTITIES], rows
 
 
 def measured_points(runs: WheelRuns | None) -> dict[str, tuple[Array, Array, Array, Array]]:
@@ -353,12 +353,12 @@ def measured_points(runs: WheelRuns | None) -> dict[str, tuple[Array, Array, Arr
 def fit_facts(fitted: FittedWheel) -> Lines:
     """Return the facts of a fit of a soil: constants, directions, and errors of the quantities."""
     file, runs, fit, priors = fitted
-    rows = estimate_rows(fit.estimate)[1]
+    rows = estimate_rows(fit.estimate)
     weak = dict.fromkeys(fit.estimate.undetermined, UNDETERMINED)
     weak |= {
-        name: AS_ITS_PRIOR
-        for name, *_, deviation, _, _, _ in rows
-        if deviation > AS_PRIOR * priors.get(name, np.inf)
+        row["name"]: AS_ITS_PRIOR
+        for row in rows
+        if row["deviation"] > AS_PRIOR * priors.get(row["name"], np.inf)
     }
     outcome = Outcome.INTERRUPTED if fit.estimate.is_interrupted else Outcome.COMPLETE
     facts = [
@@ -386,24 +386,23 @@ def fit_facts(fitted: FittedWheel) -> Lines:
     return facts
 
 
-def constant_rows(fit: SoilFit) -> tuple[list[str], list[list[Any]]]:
-    """Return column names and rows of the fitted constants, with intervals by resampling."""
-    names, rows = estimate_rows(fit.estimate)
-    return [*names, "resampled_lower", "resampled_upper"], [
-        [*row, *interval] for row, interval in zip(rows, fit.resampled.tolist(), strict=True)
-    ]
+def constant_rows(fit: SoilFit) -> list[dict[str, Any]]:
+    """Return the rows of a table of the fitted constants, with intervals by resampling."""
+    pairs = zip(estimate_rows(fit.estimate), fit.resampled.tolist(), strict=True)
+    return [row | {"resampled_lower": low, "resampled_upper": high} for row, (low, high) in pairs]
 
 
-def point_rows(fitted: FittedWheel) -> tuple[list[str], list[list[float]]]:
-    """Return column names and rows of the points: measured, and computed before and after."""
+def point_rows(fitted: FittedWheel) -> list[dict[str, float]]:
+    """Return the rows of a table of the points: measured, and computed before and after."""
     runs, fit = fitted.runs, fitted.fit
     slip, angle = slip_of_motion(runs.motion)
     kinds = {"measured": runs.values, "before": fit.nominal}
     kinds |= {"fitted": fit.fitted, "left_out": fit.validated}
-    names = [f"{name}_{kind}" for name in QUANTITIES for kind in kinds]
-    columns = [values[:, k] for k in range(len(QUANTITIES)) for values in kinds.values()]
-    table = np.column_stack([runs.run, slip, angle, runs.load, *columns])
-    return ["run", "slip", "slip_angle", "load", *names], table.tolist()
+    columns = {"run": runs.run, "slip": slip, "slip_angle": angle, "load": runs.load}
+    for k, name in enumerate(QUANTITIES):
+        columns |= {f"{name}_{kind}": values[:, k] for kind, values in kinds.items()}
+    table = np.column_stack([*columns.values()]).tolist()
+    return [dict(zip(columns, row, strict=True)) for row in table]
 
 
 def error_rows(fit: SoilFit) -> list[dict[str, Any]]:

@@ -697,28 +697,27 @@ def facts(result: FitResult) -> Lines:
     """Return the facts of a fit: constants, weak directions, and errors of predictions."""
     if result.fit is None:
         return [*result.rows, *_error_lines(result.scores)]
-    estimate, rows = result.fit.estimate, constant_rows(result.fit)[1]
-    weak = [name for name, *_, is_as_prior in rows if is_as_prior]
+    estimate, rows = result.fit.estimate, constant_rows(result.fit)
     outcome = Outcome.INTERRUPTED if estimate.is_interrupted else Outcome.COMPLETE
     return [
         ("outcome", outcome.title),
         *result.rows,
         ("fitted windows", str(len(result.fit.errors))),
-        *estimate_lines(rows, dict.fromkeys(weak, AS_ITS_PRIOR)),
+        *estimate_lines(rows, dict.fromkeys(as_priors(result.fit), AS_ITS_PRIOR)),
         *(line for line in direction_lines(estimate) if line[0] != "determined best"),
         *_error_lines(result.scores),
     ]
 
 
 def estimate_lines(
-    rows: Sequence[Sequence[Any]], weak: Mapping[str, str]
+    rows: Sequence[dict[str, Any]], weak: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
     """Yield estimates with 95 % intervals, from rows of `estimate_rows`.
 
     ``weak`` are the words on estimates that the data do not determine, by name, with braces in the
     place of the interval.
     """
-    for name, unit, before, value, _, low, high, at_bound, *_ in rows:
+    for name, unit, before, value, _, low, high, at_bound, *_ in map(dict.values, rows):
         size, reach = max(abs(low), abs(high)), (high - low) / 2
         n = 4  # digits that show the interval
         if np.isfinite(reach) and 0 < reach < size:
@@ -754,24 +753,20 @@ def direction_lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
             yield "determined best", f"{words}: to {100 * direction.deviation:.2g} %"
 
 
-def estimate_rows(estimate: Estimate) -> tuple[list[str], list[list[Any]]]:
-    """Return column names and rows of the estimates, in SI units."""
+def estimate_rows(estimate: Estimate) -> list[dict[str, Any]]:
+    """Return the rows of a table of the estimates, in SI units."""
     deviation = np.sqrt(np.diag(estimate.covariance))
-    names = ["name", "unit", "nominal", "value", "deviation", "lower", "upper", "at_bound"]
-    return names, [
-        [
-            label.name,
-            label.unit,
-            *(float(each[k]) for each in (estimate.nominal, estimate.values, deviation)),
-            *(float(each) for each in estimate.intervals[k]),
-            int(estimate.at_bound[k]),
-        ]
-        for k, label in enumerate(estimate.labels)
+    numbers = estimate.nominal, estimate.values, deviation, *estimate.intervals.T
+    columns = [*(each.tolist() for each in numbers), map(int, estimate.at_bound)]
+    names = "name", "unit", "nominal", "value", "deviation", "lower", "upper", "at_bound"
+    return [
+        dict(zip(names, (label.name, label.unit, *own), strict=True))
+        for label, *own in zip(estimate.labels, *columns, strict=True)
     ]
 
 
-def constant_rows(fit: DriveFit) -> tuple[list[str], list[list[Any]]]:
-    """Return column names and rows of the constants, in SI units.
+def constant_rows(fit: DriveFit) -> list[dict[str, Any]]:
+    """Return the rows of a table of the constants, in SI units.
 
     Radii of sides whose speeds are given are factors.
     """
@@ -780,7 +775,7 @@ def constant_rows(fit: DriveFit) -> tuple[list[str], list[list[Any]]]:
     factors = {"radius"} if (fit.model.radii == 1).all() else set()
     pairs = zip(estimate.labels, unknowns, strict=True)
     spread = np.where(scale.is_log, fit.values * deviation, deviation)
-    names, rows = estimate_rows(
+    rows = estimate_rows(
         estimate._replace(
             labels=tuple(replace(a, unit="1") if u.quantity in factors else a for a, u in pairs),
             nominal=scale.values(estimate.nominal),
@@ -790,13 +785,18 @@ def constant_rows(fit: DriveFit) -> tuple[list[str], list[list[Any]]]:
         )
     )
     is_as_prior = (deviation > AS_PRIOR * estimate.scales).astype(int).tolist()
-    return [*names, "as_prior"], [[*a, b] for a, b in zip(rows, is_as_prior, strict=True)]
+    return [row | {"as_prior": each} for row, each in zip(rows, is_as_prior, strict=True)]
+
+
+def as_priors(fit: DriveFit) -> tuple[str, ...]:
+    """Return the unknowns that the logs do not determine: they are as their priors."""
+    return tuple(row["name"] for row in constant_rows(fit) if row["as_prior"])
 
 
 def undetermined(problem: Problem[Fit], fit: DriveFit) -> tuple[str, ...]:
     """Return the unknowns of the file without a prior that the logs do not determine."""
     own = {name for name, table in problem.spec.unknowns.items() if table.prior is None}
-    return tuple(name for name, *_, as_prior in constant_rows(fit)[1] if as_prior and name in own)
+    return tuple(name for name in as_priors(fit) if name in own)
 
 
 def _error_lines(scores: Mapping[WindowKind, Score]) -> Iterator[tuple[str, str]]:
@@ -855,16 +855,16 @@ def _row(kind: WindowKind, score: Score) -> dict[str, Any]:
     return dict(zip(COLUMNS, values, strict=True))
 
 
-def error_rows(scores: Mapping[WindowKind, Score]) -> tuple[list[str], list[list[Any]]]:
-    """Return column names and rows of the errors by kind of window [m, s, rad]."""
-    return list(COLUMNS), [[*_row(*each).values()] for each in scores.items()]
+def error_rows(scores: Mapping[WindowKind, Score]) -> list[dict[str, Any]]:
+    """Return the rows of a table of the errors by kind of window [m, s, rad]."""
+    return [_row(*each) for each in scores.items()]
 
 
-def window_rows(result: FitResult) -> tuple[list[str], list[list[Any]]]:
-    """Return column names and rows of the predicted windows [m, s, rad]."""
+def window_rows(result: FitResult) -> list[dict[str, Any]]:
+    """Return the rows of a table of the predicted windows [m, s, rad]."""
     names = ["length", "duration", "log", "start", "path", "grade", "beyond"]
     names += [f"{kind}_{axis}" for kind in ("error", "reach") for axis in AXES]
-    return names, [
+    rows = [
         [*kind, log.name, first * log.dt, path, grade, int(is_beyond), *others]
         for kind, (errors, windows, grades, beyond, reach, _) in result.scores.items()
         for k, first, path, grade, is_beyond, *others in zip(
@@ -874,6 +874,7 @@ def window_rows(result: FitResult) -> tuple[list[str], list[list[Any]]]:
         )
         for log in [result.predicted[k]]
     ]
+    return [dict(zip(names, row, strict=True)) for row in rows]
 
 
 def fitted_vehicle(problem: Problem[Fit], fit: DriveFit) -> tuple[Vehicle, list[str]]:
@@ -884,7 +885,7 @@ def fitted_vehicle(problem: Problem[Fit], fit: DriveFit) -> tuple[Vehicle, list[
     vehicle, radii = build_vehicle(problem), dict[str, float]()
     others = {name: value for name, value in fit.model.fixed.items() if name in LAW_KEYS}
     width, center = None, dict[int, float]()
-    gyration, weak = None, {name for name, *_, is_as_prior in constant_rows(fit)[1] if is_as_prior}
+    gyration, weak = None, as_priors(fit)
     for unknown, value in zip(fit.model.unknowns, fit.values.tolist(), strict=True):
         if unknown.quantity == "radius":
             for wheel in vehicle.wheels:
