@@ -101,6 +101,12 @@ class PiecewiseLinear:
     # rate of each linear function, in the unit of the input per second, shape (n - 1,)
     slope: Array
 
+    @classmethod
+    def through(cls, t: Array, values: Array) -> PiecewiseLinear:
+        """Return the input that has values at times, shape (n,) each."""
+        slope = np.diff(values) / np.diff(t)
+        return cls(values[:-1] - slope * t[:-1], slope)
+
 
 InputValue = float | Array | PiecewiseLinear | ca.SX
 X = TypeVar("X", default=Any)  # types of the records of a model: states, unknowns, inputs, outputs

@@ -266,9 +266,8 @@ def inputs_along(dae: Dae, motion: PolynomialMotion, times: Array) -> Record:
     k = np.searchsorted(ends, (times[1:] + times[:-1]) / 2) - 1
     if not motion.continuous:
         return dae.inputs(**dict(zip(dae.input_names, values[:, k], strict=True)))
-    slopes = np.diff(values) / np.diff(ends)
-    bases = values[:, :-1] - slopes * ends[:-1]
-    lines = [PiecewiseLinear(base[k], slope[k]) for base, slope in zip(bases, slopes, strict=True)]
+    lines = [PiecewiseLinear.through(ends, each) for each in values]
+    lines = [PiecewiseLinear(each.base[k], each.slope[k]) for each in lines]
     return dae.inputs(**dict(zip(dae.input_names, lines, strict=True)))
 
 

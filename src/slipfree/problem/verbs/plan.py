@@ -14,7 +14,7 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.control.path_following import follow
 from slipfree.core import trajectory
-from slipfree.core.dae import Dae
+from slipfree.core.dae import Dae, PiecewiseLinear
 from slipfree.core.errors import SlipfreeError
 from slipfree.core.facts import Fact, Facts, rows, starting_with
 from slipfree.core.outcome import Outcome, ipopt_words
@@ -627,9 +627,9 @@ def _slowly(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
         rates = {f"{name}_rate": run["wheel_rate", name] for name in wheels}
         for c in setup.vehicle.of("commanded"):
             rates[f"{c.name}_rate"] = run[f"{c.name}_speed"]
-        middles = {name: (rate[1:] + rate[:-1]) / 2 for name, rate in rates.items()}
+        lines = {name: PiecewiseLinear.through(run.t, rate) for name, rate in rates.items()}
         options = SolverOptions(tolerance=FRICTION_TOLERANCE)
-        slow = simulate(model, start, model.inputs(**middles), run.t, options=options)
+        slow = simulate(model, start, model.inputs(**lines), run.t, options=options)
     except (SlipfreeError, np.linalg.LinAlgError) as error:  # the plan is valid without it
         if not (isinstance(error, trajectory.SolverError) and error.trajectory):
             return {"slow_failure": Fact(f"not simulated: {error}")}

@@ -133,7 +133,8 @@ def find_plan(
         duration = duration_of(spec.plan.duration or resume.motion.duration)
     smoothed = list[Dae]()
     if resume is None and spec.model == "dynamics":
-        smoothed = momentum_models(problem, setup.vehicle, setup.terrain)[:-1]
+        makers = momentum_models(problem, setup.vehicle, setup.terrain)[:-1]
+        smoothed = [make() for make in makers]
     elif resume is None and not has_exact_closure(setup.vehicle):
         world, slip = (setup.vehicle, setup.terrain), model_law(problem)
         models = (direct_kinematics(*world, slip=slip, smoothing=width) for width in SMOOTHINGS)

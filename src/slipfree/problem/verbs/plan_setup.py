@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf
 from typing import Annotated, Any, Literal
 
@@ -480,7 +481,7 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     terrain, vehicle = world.terrain, world.vehicle
     is_dynamic = spec.model == "dynamics"
     dae: Dae = (
-        momentum_models(problem, vehicle, terrain)[-1]
+        momentum_models(problem, vehicle, terrain)[-1]()
         if is_dynamic
         else build.build_model(problem, vehicle, terrain)
     )
@@ -558,10 +559,13 @@ def build_layers(
     )
 
 
-def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicubic) -> list[Dae]:
-    """Return the models of plans with inertia, one for each search; the last one is the plan's.
+def momentum_models(
+    problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicubic
+) -> list[Callable[[], Dae]]:
+    """Return functions that make the models of a plan with inertia, in the order of the searches.
 
-    For wheels that slide, searches with larger creep speeds come first.
+    The last one is that of the plan. For wheels that slide, searches with larger creep speeds come
+    first.
     """
     spec, contact = problem.spec, build.model_law(problem)
     with at(problem, ("model",)):
@@ -569,8 +573,13 @@ def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicub
         laws: list[GroundLaw] = [LinearCreep(contact.creep, stiffness)]
         if spec.plan.sliding:
             laws = [Coulomb(creep, slip_stiffness=stiffness) for creep in SLIDING_CREEPS]
-        models = (rigid_dynamics(vehicle, terrain, law=law, contact=contact) for law in laws)
-        return [build.in_frame(problem, model) for model in models]
+
+    def make(law: GroundLaw) -> Dae:
+        with at(problem, ("model",)):
+            model: Dae = rigid_dynamics(vehicle, terrain, law=law, contact=contact)
+            return build.in_frame(problem, model)
+
+    return [partial(make, law) for law in laws]
 
 
 def _guesses(
