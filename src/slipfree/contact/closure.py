@@ -157,11 +157,17 @@ def contact_frame(
     """Return the contact frame at a local ground point for a wheel with a given axle."""
     height, gradient, hessian = terrain.jet(x, y, lookups)
     normal = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient))
+    return frame_at(ca.vertcat(x, y, height), normal, axle, hessian)
+
+
+def frame_at(
+    point: ca.SX, normal: ca.SX, axle: ca.SX, hessian: ca.SX, offset: float = 0.0
+) -> ContactFrame:
+    """Return the contact frame at a point; ``offset`` keeps derivatives finite at zero."""
     # the axle points to the right and the normal up, so that n x a points forward
     forward = ca.cross(normal, axle)
-    uprightness = ca.norm_2(forward)
+    uprightness = ca.sqrt(ca.sumsqr(forward) + offset)
     along = forward / uprightness
-    point = ca.vertcat(x, y, height)
     across = ca.cross(along, normal)
     return ContactFrame(point, normal, along, across, axle, uprightness, hessian)
 

@@ -419,28 +419,15 @@ def _free_solution(matrix: ca.SX, right: ca.SX, free: ca.SX) -> ca.SX:
 
     It minimises a quadratic function, which is made convex if it is not.
     """
-    rows = [ca.if_else(free[k], matrix[k, k], 1) for k in range(3)]
-    pairs = {
-        (i, j): ca.logic_and(free[i], free[j]) * matrix[i, j] for i, j in ((0, 1), (0, 2), (1, 2))
-    }
-    b, c, f = pairs[0, 1], pairs[0, 2], pairs[1, 2]
-    product = rows[0] * rows[1] * rows[2]
-    determinant = product + 2 * b * c * f - rows[0] * f**2 - rows[1] * c**2 - rows[2] * b**2
-    is_convex = ca.logic_and(determinant > MIN_CONVEXITY * product, rows[0] * rows[1] > b**2)
+    both = free @ free.T * ca.triu2symm(ca.triu(matrix)) + ca.diag(1 - free)
+    (a, b, c), diagonal = ca.horzsplit(both), ca.diag(both)
+    product, minor = diagonal[0] * diagonal[1] * diagonal[2], a[0] * b[1] - a[1] ** 2
+    is_convex = ca.logic_and(ca.dot(a, ca.cross(b, c)) > MIN_CONVEXITY * product, minor > 0)
     # a dominant diagonal makes the step descend: plain steps would converge to a saddle
-    sums = ca.fabs(b) + ca.fabs(c), ca.fabs(b) + ca.fabs(f), ca.fabs(c) + ca.fabs(f)
-    rows = [row + ca.if_else(is_convex, 0, add) for row, add in zip(rows, sums, strict=True)]
-    product = rows[0] * rows[1] * rows[2]
-    determinant = product + 2 * b * c * f - rows[0] * f**2 - rows[1] * c**2 - rows[2] * b**2
-    (a, d, e), (x, y, z) = rows, ca.vertsplit(ca.if_else(free, right, 0))
-    return (
-        ca.vertcat(
-            (d * e - f**2) * x + (c * f - b * e) * y + (b * f - c * d) * z,
-            (c * f - b * e) * x + (a * e - c**2) * y + (b * c - a * f) * z,
-            (b * f - c * d) * x + (b * c - a * f) * y + (a * d - b**2) * z,
-        )
-        / determinant
-    )
+    sums = ca.sum2(ca.fabs(both - ca.diag(diagonal)))
+    a, b, c = ca.horzsplit(both + ca.diag(ca.if_else(is_convex, 0, sums)))
+    adjugate = ca.horzcat(ca.cross(b, c), ca.cross(c, a), ca.cross(a, b))
+    return adjugate @ ca.if_else(free, right, 0) / ca.dot(a, ca.cross(b, c))
 
 
 def _step_function() -> ca.Function:

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.closure import ContactFrame
+from slipfree.contact.closure import ContactFrame, frame_at
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.geometry.frame import Pose
@@ -104,12 +104,7 @@ def touch(
         slope = gradient + hessian @ step
         height += ca.dot(gradient + slope, step) / 2
         at = _miss(wheel.section, spot + step, center, axle, height, slope)
-    forward = ca.cross(at.normal, axle)
-    uprightness = ca.norm_2(forward)
-    along = forward / uprightness
-    frame = ContactFrame(
-        at.point, at.normal, along, ca.cross(along, at.normal), axle, uprightness, hessian
-    )
+    frame = frame_at(at.point, at.normal, axle, hessian)
     friction = wheel.grip * terrain.friction(at.point[0], at.point[1], lookups)
     return Touch(at.gap, frame, friction)
 
@@ -319,11 +314,8 @@ def solid_touch(
     else:
         spot = _nearest_on_disc(prism, origin, carrier, circle)
         distance, normal = prism.gap(spot + origin)
-    forward = ca.cross(normal, axle)
-    uprightness = ca.sqrt(ca.sumsqr(forward) + ROOT_OFFSET)
-    along, point = forward / uprightness, spot - tube * normal
-    across, flat = ca.cross(along, normal), ca.SX.zeros(2, 2)
-    frame = ContactFrame(point, normal, along, across, axle, uprightness, flat)
+    point = spot - tube * normal
+    frame = frame_at(point, normal, axle, ca.SX.zeros(2, 2), ROOT_OFFSET)
     friction = wheel.grip * terrain.friction(point[0], point[1], lookups)
     return Touch(distance - tube, frame, friction)
 

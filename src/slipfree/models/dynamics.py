@@ -312,9 +312,9 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
     joints = {label.name: label for label in (*still.x.joints, *still.z.position.suspension)}
     words = "{} of the platform's quaternion (x right)"
     attitude = tuple(Label(f"attitude_{k}", "1", words.format(k)) for k in "wxyz")
-    velocity = _vector("velocity", "m s-1", "velocity of the platform's centre")
-    omega = _vector("omega", "rad s-1", "angular velocity of the platform")
-    planar = vehicle.planar
+    turning = "angular velocity of the platform about"
+    omega = tuple(Label(f"omega_{axis}", "rad s-1", f"{turning} {axis}") for axis in "xyz")
+    velocity, planar = tuple(still.z.rates[:3]), vehicle.planar
     return DynamicState(
         () if planar else still.x.x,
         still.x.y,
@@ -365,12 +365,6 @@ def output_efforts(vehicle: Vehicle, efforts: Sequence[T]) -> tuple[T, ...]:
 def _joint_speed(vehicle: Vehicle, c: Coordinate) -> Label:
     name, words = ("speed", "actual rate") if c.kind == "commanded" else ("rate", "rate")
     return Label(f"{c.name}_{name}", f"{vehicle.unit(c.name)} s-1", f"{words} of {c.words}")
-
-
-def _vector(name: str, unit: str, words: str) -> tuple[Label, ...]:
-    return tuple(
-        Label(f"{name}_{axis}", unit, f"{axis} component of the {words}") for axis in "xyz"
-    )
 
 
 class Contact(NamedTuple):

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
+import scipy  # scipy.spatial is imported when it is used
 
 from slipfree.contact.closure import ContactFrame, without_rolling
 from slipfree.contact.nearest_points import Nearest, NearestPoints, frame_of
@@ -101,17 +102,10 @@ def wheel_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:
     Parameters and errors are those of `part_poses`; the motion must also have the wheel angles.
     """
     poses = _frame_poses(vehicle, run, vehicle.carriers)
-    return poses._replace(rotations=spun(poses.rotations, run["wheel_angle"]))
-
-
-def spun(rotations: Array, angles: Array) -> Array:
-    """Return rotations, shape (..., 3, 3), rotated forward about their x axes by angles [rad]."""
-    cosine, sine = np.cos(angles), np.sin(angles)
-    turned = np.zeros(rotations.shape)  # about the axle, which points right, by minus the angle
-    turned[..., 0, 0] = 1
-    turned[..., 1, 1] = turned[..., 2, 2] = cosine
-    turned[..., 1, 2], turned[..., 2, 1] = sine, -sine
-    return np.asarray(rotations @ turned)
+    # forward about the axle, which points right, by minus the angle
+    angles = -run["wheel_angle"].reshape(-1, 1)
+    turned = scipy.spatial.transform.Rotation.from_euler("x", angles).as_matrix()
+    return poses._replace(rotations=poses.rotations @ turned.reshape(poses.rotations.shape))
 
 
 def _frame_poses(
