@@ -59,8 +59,10 @@ class Intervals:
             return _outward(np.minimum(a, b), np.maximum(a, b))
         a, b = self.low * other.low, self.high * other.high
         c, d = self.low * other.high, self.high * other.low
-        low = np.minimum(np.minimum(a, b), np.minimum(c, d))
-        return _outward(low, np.maximum(np.maximum(a, b), np.maximum(c, d)))
+        low = np.minimum(a, b)
+        high = np.maximum(a, b, out=a)
+        low = np.minimum(low, np.minimum(c, d, out=b), out=low)
+        return _outward(low, np.maximum(high, np.maximum(c, d, out=c), out=high))
 
     def square(self) -> Intervals:
         """Return the squares."""
@@ -123,7 +125,8 @@ def _outward(low: Array, high: Array, tiny: float = TINY) -> Intervals:
     down, up = np.abs(low), np.abs(high)
     for shift in (down, up):  # in place, since most of the time goes to memory
         shift *= ROUNDING
-        shift += tiny
+        if tiny:
+            shift += tiny
     low -= down
     high += up
     return Intervals(low, high)

@@ -7,6 +7,7 @@ largest coefficient. It holds across cells, since the second derivatives are con
 
 from __future__ import annotations
 
+import ctypes
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from slipfree.core.interval import Intervals, around
 from slipfree.core.records import Array, Indices, Mask
 from slipfree.terrain.bicubic import Bicubic, basis
+from slipfree.terrain.kernel import pointer
 
 ORDERS = (3, 0), (2, 1), (1, 2), (0, 3), (1, 0), (0, 1)  # of derivatives that have bounds
 LEVELS = 7  # windows of 1, 2, 4, ... cells on each side of a cell, for which bounds are kept
@@ -46,9 +48,9 @@ class GroundRange:
 
     def __init__(self, ground: Bicubic) -> None:
         cells, holes = ground.cells, ground.grid.holes
-        self._table = 36 * cells.coefficients
+        self._table = np.ascontiguousarray(36 * cells.coefficients)
         columns = np.array([cells.place, cells.spacing, cells.node])[..., None]
-        self._place, self._spacing, self._node = columns  # shape (2, 1) each
+        self._place, self._spacing, self._node = self._axes = columns  # shape (2, 1) each
         self._counts = np.array(self._table.shape)[:, None] - 3
         h_x, h_y = cells.spacing
         levels = list[Array]()
@@ -126,6 +128,20 @@ class GroundRange:
         rest = (rest + slope + second * (dx + dy)) * (1 + 1e-14)
         linear = box[0] * jets.second[:2] + box[1] * jets.second[1:] + jets.slope
         return linear + Intervals(-rest, rest)
+
+    def compiled(self, level: int) -> tuple[Any, ...]:
+        """Return the map and its windows of at least a level as `terrain/kernel.c` takes them."""
+        _window(self._largest, level)
+        _window(self._missing, level)
+        windows = [
+            (ctypes.c_void_p * (LEVELS + 1))(*(each.ctypes.data for each in levels))
+            for levels in (self._largest, self._missing)
+        ]
+        return (
+            *(pointer(each) for each in (self._table, self._counts, self._axes)),
+            ctypes.c_longlong(LEVELS + 1),
+            *windows,
+        )
 
     def _cell(self, at: Array) -> tuple[Array, Indices]:
         """Return points in units of cells from the first node, and indices of their cells."""

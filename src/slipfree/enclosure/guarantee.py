@@ -275,7 +275,7 @@ def enclose_poses(
                     radius[:, lanes] = 10 * SMALLEST_RADIUS
                     box = boxes(lanes)
                     box.radius[:given] = 0.0
-                    gaps = gap_bounds(graphs, ground, box, coarse=True)
+                    gaps = gap_bounds(graphs, ground, box)
                     penetrates[lanes] = (gaps.gap.high < -PENETRATION).any(axis=0)
                     on_map[lanes] &= gaps.on_map
                     slope = (gaps.slope.low + gaps.slope.high) / 2

@@ -18,7 +18,8 @@ the contact is a single one, in a small region about ``b0``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import ctypes
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, reduce
 from itertools import product
 from operator import add
@@ -37,12 +38,12 @@ from slipfree.enclosure.ground_range import GroundRange, Jets
 from slipfree.geometry.frame import turn, unit_vector
 from slipfree.models.base import VehicleState, carriers, masses_of, platform_pose, values_of
 from slipfree.terrain.bicubic import Bicubic
+from slipfree.terrain.kernel import library, pointer
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.shapes import bounding_box
 
 AROUND, ACROSS = 12, 3  # patches of a tread at the beginning
 SMALLEST_TURN = 2e-3  # half-size of the smallest patches [rad]
-COARSE_TURN = 2e-2  # half-size of the smallest patches for a first look [rad]
 REGION_TURN = 1e-2  # half-size of the smallest patches where a wheel may touch [rad]
 REGION_SHARE = 0.1  # their half-size, relative to that of the region
 SHARE = 0.15  # half-size of the smallest patches, relative to the turn of the wheel in the box
@@ -52,7 +53,7 @@ MAX_PATCHES = 6000  # of a pose, which is given up if it has more
 RINGS = 16  # parts of a tread outside the region of a single contact
 FACTOR = 2.5  # half-size of this region, relative to the displacement of the contact in the box
 REGION = 0.05, 0.4  # its bounds: halves of chords of the unit circle
-CHUNK = 256  # boxes whose treads are divided together
+CHUNK = 512  # boxes whose treads are divided together
 SLACK = 1e-9  # for rounding in inequalities of magnitudes, relative
 PARTS = 4  # boxes, one inside the other, over which slopes are averaged; a power of two
 
@@ -408,7 +409,7 @@ class _Patches(NamedTuple):
     middle: Array
     half: Array
 
-    def at(self, index: Mask | Indices) -> _Patches:
+    def at(self, index: Mask | Indices | slice) -> _Patches:
         return _Patches(
             self.lane[index], self.wheel[index], self.middle[:, index], self.half[:, index]
         )
@@ -450,12 +451,7 @@ class _PoseBox(NamedTuple):
 
 
 def gap_bounds(
-    graphs: PoseGraphs,
-    ground: GroundRange,
-    boxes: Boxes,
-    *,
-    coarse: bool = False,
-    divided: bool = False,
+    graphs: PoseGraphs, ground: GroundRange, boxes: Boxes, *, divided: bool = False
 ) -> GapBounds:
     """Return bounds of the gaps for boxes of coordinates.
 
@@ -467,37 +463,35 @@ def gap_bounds(
         The map.
     boxes : Boxes
         Local coordinates.
-    coarse : bool
-        Whether wide bounds suffice, for small boxes.
     divided : bool
         Whether to divide all treads, which takes longer and gives narrower bounds.
     """
-    parts = 1 if coarse else PARTS
     region: Array | None = None
     averages = list[Intervals]()
     is_single: Mask = np.full(boxes.contacts.shape[1:], not divided)
     middle = _middle(graphs, ground, boxes)
-    for k in range(parts, 0, -1):  # a line from the middle passes through the smaller boxes first
-        box = _over(middle, ground, boxes.radius, k / parts)
+    # a line from the middle passes through the smaller boxes first
+    parts = [_over(middle, ground, boxes.radius, k / PARTS) for k in range(PARTS, 0, -1)]
+    for box in parts:
         found = _single_contacts(box, ground, region)
         normals = _normals(box.over, found.slopes)
         on_axle = _on_axle(box.moving, normals, graphs.radii[1][:, None])
-        averages.append((_moved(box.moving, found.slopes) + on_axle) * (1 / parts))
+        averages.append((_moved(box.moving, found.slopes) + on_axle) * (1 / PARTS))
         if region is None:
-            region, slope = found.region, averages[0] * parts
-            is_single &= _are_rings_clear(graphs, ground, boxes, found)
+            region, slope = found.region, averages[0] * PARTS
+            is_single &= _are_rings_clear(box, ground, found)
         is_single &= found.is_single
-    gap = Intervals(box.middle.gap.low - found.lost, box.middle.gap.high.copy())
+    gap = Intervals(middle.gap.low - found.lost, middle.gap.high.copy())
     on_map: Mask = np.logical_and.reduce(is_single)
     bounds = GapBounds(gap, slope, reduce(add, averages), on_map)
     for rest in chunks(~on_map, CHUNK):
-        others = ~is_single[:, rest]
-        own = _divided(graphs, ground, boxes.at(rest), others, coarse, divided)
-        on_map[rest] = own.on_map
-        wheels, lanes = np.nonzero(others)
+        others = np.zeros_like(is_single)
+        others[:, rest] = ~is_single[:, rest]
+        own = _divided(parts, ground, others, SHARE if divided else QUICK_SHARE)
+        on_map[rest] = own.on_map[rest]
         for old, new in zip(bounds[:3], own[:3], strict=True):
-            old.low[..., wheels, rest[lanes]] = new.low[..., wheels, lanes]
-            old.high[..., wheels, rest[lanes]] = new.high[..., wheels, lanes]
+            old.low[..., others] = new.low[..., others]
+            old.high[..., others] = new.high[..., others]
     return bounds
 
 
@@ -507,33 +501,24 @@ def chunks(lanes: Mask, size: int) -> Iterator[Indices]:
     return (found[first : first + size] for first in range(0, found.size, size))
 
 
-def _are_rings_clear(
-    graphs: PoseGraphs,
-    ground: GroundRange,
-    boxes: Boxes,
-    found: _SingleContacts,
-) -> Mask:
+def _are_rings_clear(box: _PoseBox, ground: GroundRange, found: _SingleContacts) -> Mask:
     """Return which wheels touch nowhere outside the regions, shape (n_wheels, n).
 
     Only the rings that are not clear by curvature are divided into patches.
     """
     is_clear: Mask = np.logical_and.reduce(found.rings)
-    for k in chunks(np.logical_or.reduce(found.is_single & ~is_clear), CHUNK):
-        some = boxes.at(k)
-        box = _over(_middle(graphs, ground, some), ground, some.radius, 1.0)
-        region, rings = found.region[:, k], found.rings[..., k]
-        patches = _whole_treads(graphs.radii, k.size)
-        here = patches.wheel, patches.lane
-        near, far = _chord_range(box, patches)
-        is_open = np.zeros(patches.lane.size, dtype=bool)
-        for number, ring in enumerate(rings):
-            inner, outer = (region[here] ** (1 - j / RINGS) for j in (number, number + 1))
-            is_open |= ~ring[here] & (far >= inner) & (near <= outer)
-        patches = patches.at(is_open & found.is_single[:, k][here])
-        target = np.maximum(SHARE * box.turn.max(axis=0), SMALLEST_TURN)
-        left, _, on_map, is_complete = _touching(box, ground, patches, target, region)
-        is_clear[:, k] |= on_map & is_complete
-        is_clear[left.wheel, k[left.lane]] = False
+    wheels = found.is_single & ~is_clear
+    patches = _whole_treads(box.middle.radii, wheels)
+    here = patches.wheel, patches.lane
+    near, far = _chord_range(box, patches)
+    is_open = np.zeros(patches.lane.size, dtype=bool)
+    for number, ring in enumerate(found.rings):
+        inner, outer = (found.region[here] ** (1 - j / RINGS) for j in (number, number + 1))
+        is_open |= ~ring[here] & (far >= inner) & (near <= outer)
+    target = np.maximum(SHARE * box.turn.max(axis=0), SMALLEST_TURN)
+    left, _, _, is_complete = _touching(box, ground, patches.at(is_open), target, found.region)
+    is_clear |= wheels & is_complete
+    is_clear[left.wheel, left.lane] = False
     return is_clear
 
 
@@ -546,31 +531,21 @@ def _chord_range(box: _PoseBox, patches: _Patches) -> tuple[Array, Array]:
 
 
 def _divided(
-    graphs: PoseGraphs,
-    ground: GroundRange,
-    boxes: Boxes,
-    wheels: Mask,
-    coarse: bool,
-    fine: bool,
+    parts: Sequence[_PoseBox], ground: GroundRange, wheels: Mask, share: float
 ) -> GapBounds:
-    """Return the bounds of some wheels (n_wheels, n) by dividing their whole treads."""
-    middle = _middle(graphs, ground, boxes)
-    box = _over(middle, ground, boxes.radius, 1.0)
-    shape = wheels.shape
-    share = SHARE if fine else QUICK_SHARE
-    target = share * box.turn.max(axis=0), COARSE_TURN if coarse else SMALLEST_TURN
-    patches = _whole_treads(graphs.radii, wheels.shape[1])
-    patches = patches.at(wheels[patches.wheel, patches.lane])
-    patches, least, on_map, is_complete = _touching(box, ground, patches, np.maximum(*target))
-    slope = _hull(_slopes(box, ground, patches), patches, shape)
-    parts = 1 if coarse else PARTS
-    mean, lost = slope * (1 / parts), np.where(is_complete, 0.0, np.nan)
-    inner = box
-    for k in range(parts - 1, 0, -1):
-        inner = _over(middle, ground, boxes.radius, k / parts)
-        patches = patches.at(_examine(inner, ground, patches).is_open)
-        mean = mean + _hull(_slopes(inner, ground, patches), patches, shape) * (1 / parts)
-    below = _hull(_examine(inner, ground, patches).gap[None], patches, shape).low[0]
+    """Return the bounds of some wheels (n_wheels, n) by dividing their whole treads.
+
+    ``parts`` are the boxes, each inside the one before; patches have a ``share`` of the turns.
+    """
+    box, treads = parts[0], _whole_treads(parts[0].middle.radii, wheels)
+    target = np.maximum(share * box.turn.max(axis=0), SMALLEST_TURN)
+    patches, least, on_map, is_complete = _touching(box, ground, treads, target)
+    slope = _hull(_slopes(box, ground, patches), patches, wheels.shape)
+    mean, lost = slope * (1 / PARTS), np.where(is_complete, 0.0, np.nan)
+    for box in parts[1:]:
+        patches = patches.at(_examine(box, ground, patches).is_open)
+        mean = mean + _hull(_slopes(box, ground, patches), patches, wheels.shape) * (1 / PARTS)
+    below = _hull(_examine(box, ground, patches).gap[None], patches, wheels.shape).low[0]
     gap = Intervals(np.minimum(below, least) + lost, least + lost)
     return GapBounds(gap, slope, mean, on_map)
 
@@ -729,7 +704,7 @@ def _touching(
     whether the wheels stay on the map, and whether the patches are complete, shape (n,). Patches in
     a region are left out.
     """
-    n, done = box.middle.gap.low.shape[1], list[_Patches]()
+    n, done = box.middle.gap.low.shape[1], [patches.at(slice(0))]
     on_map, given_up = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
     least = box.middle.gap.high.copy()
     while patches.lane.size:
@@ -762,7 +737,8 @@ def contact_regions(
     box = _over(_middle(graphs, ground, boxes), ground, boxes.radius, 1.0)
     # compared with the region, whose size is that of a parabola of this height
     smallest = np.maximum(REGION_TURN, REGION_SHARE * np.sqrt(error / graphs.radii.sum(axis=0)))
-    patches, done = _whole_treads(graphs.radii, n), list[_Patches]()
+    patches = _whole_treads(graphs.radii, np.ones(boxes.contacts.shape[1:], dtype=bool))
+    done = list[_Patches]()
     while patches.lane.size:
         here = patches.wheel, patches.lane
         radii, wide = graphs.radii[:, patches.wheel], _at(box.over, here)
@@ -857,18 +833,19 @@ def _over(middle: _Middle, ground: GroundRange, radius: Array, share: float) -> 
     return _PoseBox(middle, over, moving, under, turn, shift)
 
 
-def _whole_treads(radii: Array, n: int) -> _Patches:
+def _whole_treads(radii: Array, wheels: Mask) -> _Patches:
+    """Return patches that cover the treads of some wheels, shape (n_wheels, n)."""
     parts = list[_Patches]()
     for wheel, tube in enumerate(radii[0]):
+        lanes = np.flatnonzero(wheels[wheel])
         counts = np.array([AROUND, ACROSS if tube > 0 else 1])
         v, u = ((2 * np.arange(count) + 1) * np.pi / 2 / count for count in counts)
         grid = np.stack(np.meshgrid(2 * v, u, indexing="ij")).reshape(2, -1)
         # the halves are slightly larger, so that patches overlap
         half = np.array([[np.pi], [np.pi / 2]]) / counts[:, None] * (1 + 1e-9)
         half[1] *= tube > 0
-        lanes = np.repeat(np.arange(n), counts.prod())
-        whole = np.full(lanes.size, wheel), np.tile(grid, n), np.tile(half, lanes.size)
-        parts.append(_Patches(lanes, *whole))
+        grid, lanes = np.tile(grid, lanes.size), np.repeat(lanes, counts.prod())
+        parts.append(_Patches(lanes, np.full(lanes.size, wheel), grid, np.tile(half, lanes.size)))
     return _joined(parts)
 
 
@@ -948,6 +925,9 @@ def _normals(poses: WheelPoses, slopes: Intervals) -> Intervals:
 
 def _examine(box: _PoseBox, ground: GroundRange, patches: _Patches) -> _Examined:
     """Return which patches may touch the ground first at a pose of their boxes."""
+    function = getattr(library(), "kernel_patches", None)  # older libraries have none
+    if function is not None:
+        return _examine_compiled(function, box, ground, patches)
     here = patches.wheel, patches.lane
     radii = box.middle.radii[:, patches.wheel]
     thin, wide = _at(box.middle.start, here), _at(box.over, here)
@@ -979,6 +959,29 @@ def _examine(box: _PoseBox, ground: GroundRange, patches: _Patches) -> _Examined
     inside = _is_inside(patches)
     changes = ~around_slope.contains_zero | (~across_slope.contains_zero & inside)
     return _Examined(gap, point.high, ~squares | ~(higher | changes), points, squares)
+
+
+def _examine_compiled(
+    function: Callable[..., int], box: _PoseBox, ground: GroundRange, patches: _Patches
+) -> _Examined:
+    """Return what `_examine` returns, from the function of `terrain/kernel.c`."""
+    shape, n = box.middle.gap.low.shape, patches.lane.size
+    parts = *box.middle.start, *box.over, box.middle.spot, box.slopes
+    bounds = [getattr(part, end) for end in ("low", "high") for part in parts]
+    bounds += [box.turn, box.shift, box.middle.gap.high]
+    bounds = [np.ascontiguousarray(each) for each in bounds]
+    gaps, flags = np.empty((3, n)), np.empty(n, dtype=np.uint8)
+    inputs = box.middle.radii, patches.lane, patches.wheel, patches.middle, patches.half
+    radii, *places = (pointer(np.ascontiguousarray(each)) for each in inputs)
+    sizes = [ctypes.c_longlong(each) for each in (*shape, n)]
+    rows = (ctypes.c_void_p * len(bounds))(*(each.ctypes.data for each in bounds))
+    missed = 1
+    while missed:  # once more with windows that are large enough
+        missed = function(
+            *ground.compiled(missed), *sizes, rows, radii, *places, pointer(gaps), pointer(flags)
+        )
+    known = flags & 2 > 0, flags & 4 > 0
+    return _Examined(Intervals(*gaps[:2]), gaps[2], flags & 1 > 0, *known)
 
 
 def _slopes(box: _PoseBox, ground: GroundRange, patches: _Patches) -> Intervals:

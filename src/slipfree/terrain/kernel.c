@@ -471,6 +471,319 @@ API void kernel_gaps(int slot, casadi_int n, casadi_int rim, casadi_int across, 
   }
 }
 
+/* Interval arithmetic, rounded outward as in core/interval.py. Bounds that are not numbers stay so. */
+#define ROUNDING 4.440892098500626e-16 /* 2^-51 */
+#define TINY 1e-300
+#define LIBRARY_ERROR 8.881784197001252e-16 /* 2^-50, of sine and cosine */
+#define NEAR_EXTREME 1e-9
+#define PI 3.141592653589793
+#define EDGE 1e-6 /* that of enclosure/wheel_gaps.py */
+
+typedef struct {
+  double low, high;
+} Interval;
+
+static double lower(double a, double b) { return a < b || a != a ? a : b; }
+static double higher(double a, double b) { return a > b || a != a ? a : b; }
+
+static Interval outward(double low, double high, double tiny) {
+  Interval r;
+  r.low = low - (fabs(low) * ROUNDING + tiny);
+  r.high = high + (fabs(high) * ROUNDING + tiny);
+  return r;
+}
+
+static Interval plus(Interval a, Interval b) { return outward(a.low + b.low, a.high + b.high, 0); }
+static Interval minus(Interval a, Interval b) { return outward(a.low - b.high, a.high - b.low, 0); }
+static double magnitude(Interval a) { return higher(fabs(a.low), fabs(a.high)); }
+static int has_zero(Interval a) { return !(a.low > 0 || a.high < 0); }
+
+static Interval exactly(double a) {
+  Interval r = {a, a};
+  return r;
+}
+
+static Interval negative(Interval a) {
+  Interval r = {-a.high, -a.low};
+  return r;
+}
+
+static Interval times(Interval a, Interval b) {
+  double p = a.low * b.low, q = a.high * b.high, r = a.low * b.high, s = a.high * b.low;
+  return outward(lower(lower(p, q), lower(r, s)), higher(higher(p, q), higher(r, s)), TINY);
+}
+
+/* Cosine (shift 0) or sine (shift 0.5), whose maxima are at `shift` half turns and full turns. */
+static Interval wave(Interval a, double (*function)(double), double shift) {
+  double p = function(a.low), q = a.high > a.low ? function(a.high) : p, near = NEAR_EXTREME * (1 + magnitude(a));
+  double first = a.low / PI - shift - near, last = a.high / PI - shift + near;
+  Interval r;
+  r.low = higher(lower(p, q) - LIBRARY_ERROR, -1);
+  r.high = lower(higher(p, q) + LIBRARY_ERROR, 1);
+  if (2 * ceil((first - 1) / 2) + 1 <= last) r.low = -1;
+  if (2 * ceil(first / 2) <= last) r.high = 1;
+  return r;
+}
+
+static Interval inner(const Interval *a, const Interval *b) {
+  return plus(plus(times(a[0], b[0]), times(a[1], b[1])), times(a[2], b[2]));
+}
+
+/* A map and its bounds, as `GroundRange` of enclosure/ground_range.py has them. */
+typedef struct {
+  const double *table;                  /* 36 times the coefficients, y fastest [m] */
+  casadi_int count[2];                  /* cells along x and y */
+  const double *place, *spacing, *node; /* along x and y */
+  casadi_int levels;                    /* of windows, numbered from zero */
+  const double *const *largest;         /* by level: six derivatives of all cells, or NULL */
+  const unsigned char *const *missing;  /* by level: whether cells touch holes, or NULL */
+} Range;
+
+typedef struct {
+  double height, slope[2], second[3], error[3], inexact, a[2];
+  casadi_int cell[2];
+} Jets;
+
+static double smaller_spacing(const Range *m) {
+  return m->spacing[0] < m->spacing[1] ? m->spacing[0] : m->spacing[1];
+}
+
+static Jets jets_at(const Range *m, const double *at) {
+  Jets r;
+  double b[2][3][4], partial[3][4], top = 0, step = smaller_spacing(m);
+  casadi_int axis, i, j, p;
+  r.inexact = 0;
+  for (axis = 0; axis < 2; axis++) {
+    double h = m->spacing[axis], a = (at[axis] - m->place[axis]) / h + m->node[axis], u, v, c;
+    c = floor(a);
+    if (!(c >= 0)) c = 0;
+    if (c > (double)(m->count[axis] - 1)) c = (double)(m->count[axis] - 1);
+    r.a[axis] = a;
+    r.cell[axis] = (casadi_int)c;
+    r.inexact = higher(r.inexact, 8.881784197001252e-16 * h * (fabs(a) + m->node[axis] + 2));
+    u = a - c;
+    v = 1 - u;
+    b[axis][0][0] = v * v * v;
+    b[axis][0][1] = 4 + 3 * (u * u * u - 2 * (u * u));
+    b[axis][0][2] = 4 + 3 * (v * v * v - 2 * (v * v));
+    b[axis][0][3] = u * u * u;
+    b[axis][1][0] = -3 * (v * v) / h;
+    b[axis][1][1] = 3 * u * (3 * u - 4) / h;
+    b[axis][1][2] = 3 * v * (4 - 3 * v) / h;
+    b[axis][1][3] = 3 * (u * u) / h;
+    b[axis][2][0] = 6 * v / (h * h);
+    b[axis][2][1] = (18 * u - 12) / (h * h);
+    b[axis][2][2] = (18 * v - 12) / (h * h);
+    b[axis][2][3] = 6 * u / (h * h);
+  }
+  for (j = 0; j < 4; j++)
+    for (p = 0; p < 3; p++) partial[p][j] = 0;
+  for (i = 0; i < 4; i++) {
+    const double *c = m->table + (r.cell[0] + i) * (m->count[1] + 3) + r.cell[1];
+    for (j = 0; j < 4; j++) {
+      top = higher(top, fabs(c[j]));
+      for (p = 0; p < 3; p++) partial[p][j] += b[0][p][i] * c[j];
+    }
+  }
+#define SUM(p, q) \
+  ((b[1][q][0] * partial[p][0] + b[1][q][1] * partial[p][1] + b[1][q][2] * partial[p][2] \
+    + b[1][q][3] * partial[p][3]) / 36)
+  r.height = SUM(0, 0);
+  r.slope[0] = SUM(1, 0);
+  r.slope[1] = SUM(0, 1);
+  r.second[0] = SUM(2, 0);
+  r.second[1] = SUM(1, 1);
+  r.second[2] = SUM(0, 2);
+#undef SUM
+  top *= 100 * 1.1102230246251565e-16;
+  r.error[0] = top;
+  r.error[1] = 2 * top / step;
+  r.error[2] = 6 * top / (step * step);
+  return r;
+}
+
+/* Number of the smallest window that covers a reach; `missed` grows to it if it is not known yet. */
+static casadi_int level_of(const Range *m, double reach, casadi_int *missed) {
+  double cells = ceil(reach / smaller_spacing(m)), size = 1;
+  casadi_int level = 1;
+  if (!(cells <= 1e9)) return m->levels;
+  for (; size < cells && level < m->levels; size *= 2) level++;
+  if (level < m->levels && !m->largest[level] && level > *missed) *missed = level;
+  return level;
+}
+
+/* The largest third derivatives within a reach of a point. */
+static void third_bounds(const Range *m, const Jets *jets, double dx, double dy, double *t,
+                         casadi_int *missed) {
+  casadi_int k, level = level_of(m, higher(dx, dy) + jets->inexact, missed);
+  casadi_int all = m->count[0] * m->count[1], cell = jets->cell[0] * m->count[1] + jets->cell[1];
+  for (k = 0; k < 4; k++)
+    t[k] = level < m->levels && m->largest[level] ? m->largest[level][k * all + cell] : INFINITY;
+}
+
+static Interval height_near(const Range *m, const Jets *jets, double reach_x, double reach_y,
+                            casadi_int *missed) {
+  double dx = reach_x + jets->inexact, dy = reach_y + jets->inexact, t[4], away;
+  double gx = fabs(jets->slope[0]) + jets->error[1], gy = fabs(jets->slope[1]) + jets->error[1];
+  double xx = fabs(jets->second[0]) + jets->error[2], xy = fabs(jets->second[1]) + jets->error[2];
+  double yy = fabs(jets->second[2]) + jets->error[2];
+  third_bounds(m, jets, reach_x, reach_y, t, missed);
+  away = gx * dx + gy * dy + (xx * (dx * dx) + 2 * xy * dx * dy + yy * (dy * dy)) / 2
+         + (t[0] * (dx * dx * dx) + 3 * t[1] * (dx * dx) * dy + 3 * t[2] * dx * (dy * dy)
+            + t[3] * (dy * dy * dy)) / 6;
+  away = (away + jets->error[0]) * (1 + 1e-14);
+  return outward(jets->height - away, jets->height + away, TINY);
+}
+
+static void slopes_near(const Range *m, const Jets *jets, const Interval *away, Interval *slope,
+                        casadi_int *missed) {
+  Interval box[2];
+  double t[4], dx, dy;
+  casadi_int k;
+  for (k = 0; k < 2; k++) {
+    box[k].low = away[k].low - jets->inexact;
+    box[k].high = away[k].high + jets->inexact;
+  }
+  dx = magnitude(box[0]);
+  dy = magnitude(box[1]);
+  third_bounds(m, jets, dx, dy, t, missed);
+  for (k = 0; k < 2; k++) {
+    double rest = (t[k] * (dx * dx) + 2 * t[k + 1] * dx * dy + t[k + 2] * (dy * dy)) / 2;
+    Interval more;
+    rest = (rest + jets->error[1] + jets->error[2] * (dx + dy)) * (1 + 1e-14);
+    more.low = -rest;
+    more.high = rest;
+    slope[k] = plus(times(box[0], exactly(jets->second[k])), times(box[1], exactly(jets->second[k + 1])));
+    slope[k] = plus(plus(slope[k], exactly(jets->slope[k])), more);
+  }
+}
+
+/* Whether the ground is known at a point (1), and in the square of a half-size about it (2). */
+static int known_near(const Range *m, const Jets *jets, double reach, casadi_int *missed) {
+  int point = 1, square = 1;
+  casadi_int axis, level = level_of(m, reach, missed);
+  casadi_int cell = jets->cell[0] * m->count[1] + jets->cell[1];
+  for (axis = 0; axis < 2; axis++) {
+    double a = jets->a[axis], away = reach / m->spacing[axis] + 1e-9, last = (double)m->count[axis];
+    point = point && a >= 0 && a <= last;
+    square = square && a >= away && a + away <= last;
+  }
+  point = point && !m->missing[0][cell];
+  square = square && level < m->levels && m->missing[level] && !m->missing[level][cell];
+  return point + 2 * square;
+}
+
+/* Points of a tread in the frame of its carrier, and derivatives by both angles. */
+static void tread_at(const double *radii, const Interval *angles, Interval *point, Interval *turned,
+                     Interval *rolled) {
+  Interval cos_v = wave(angles[0], cos, 0), sin_v = wave(angles[0], sin, 0.5);
+  Interval cos_u = wave(angles[1], cos, 0), sin_u = wave(angles[1], sin, 0.5);
+  Interval axial = times(cos_u, exactly(radii[0])), away = times(sin_u, exactly(radii[0]));
+  Interval rho = plus(away, exactly(radii[1]));
+  point[0] = axial;
+  point[1] = times(rho, cos_v);
+  point[2] = times(rho, sin_v);
+  turned[0] = exactly(0);
+  turned[1] = negative(point[2]);
+  turned[2] = point[1];
+  rolled[0] = negative(away);
+  rolled[1] = times(axial, cos_v);
+  rolled[2] = times(axial, sin_v);
+}
+
+/* A row of bounds: `arrays` are six of lower bounds, then those of upper bounds. */
+static Interval taken(const double *const *arrays, casadi_int number, casadi_int row, casadi_int all,
+                      casadi_int at) {
+  Interval r;
+  r.low = arrays[number][row * all + at];
+  r.high = arrays[number + 6][row * all + at];
+  return r;
+}
+
+static void pose_of(const double *const *arrays, casadi_int number, casadi_int all, casadi_int at,
+                    Interval *center, Interval rotation[3][3]) {
+  casadi_int i, j;
+  for (i = 0; i < 3; i++) {
+    center[i] = taken(arrays, number, i, all, at);
+    for (j = 0; j < 3; j++) rotation[i][j] = taken(arrays, number + 1, 3 * i + j, all, at);
+  }
+}
+
+static void placed(const Interval *center, Interval rotation[3][3], const Interval *spot, Interval *place) {
+  casadi_int i, j;
+  for (i = 0; i < 3; i++) {
+    place[i] = center[i];
+    for (j = 0; j < 3; j++) place[i] = plus(place[i], times(rotation[i][j], spot[j]));
+  }
+}
+
+/* What `_examine` of enclosure/wheel_gaps.py says, for n patches: bounds of the gap at the middle of
+ * the box and an upper one at that of the patch, in three rows; and flags, of which 1 tells that
+ * the patch may touch first, 2 that the ground is known under its middle, and 4 under all of it.
+ * `arrays` are lower and upper bounds at the wheels and boxes: centers and rotations at the middles,
+ * those over the boxes, reference points, and slopes under them; then turns, shifts, and gaps.
+ * Returns the highest level of windows that was missing, or zero. */
+API int kernel_patches(const double *table, const casadi_int *count, const double *axes,
+                              casadi_int levels, const double *const *largest,
+                              const unsigned char *const *missing, casadi_int wheels, casadi_int lanes,
+                              casadi_int n, const double *const *arrays, const double *radii,
+                              const casadi_int *lane, const casadi_int *wheel, const double *middle,
+                              const double *half, double *gaps, unsigned char *flags) {
+  Range m = {table, {count[0], count[1]}, axes, axes + 2, axes + 4, levels, largest, missing};
+  const double *turn = arrays[12], *shift = arrays[13];
+  casadi_int all = wheels * lanes, k, i, missed = 0;
+  for (k = 0; k < n; k++) {
+    casadi_int at = wheel[k] * lanes + lane[k];
+    double own[2] = {radii[wheel[k]], radii[wheels + wheel[k]]}, center[2], spread, apart[3], tilt[3];
+    double xy = turn[at], xz = turn[all + at], yz = turn[2 * all + at], change, limit, u = middle[n + k];
+    Interval angles[2], spot[3], turned[3], rolled[3], thin[3], place[3], away[2], slope[2], normal[3];
+    Interval base[3], rotation[3][3], around, across, point, gap;
+    Jets jets;
+    int known, inside, higher_up, changes;
+    for (i = 0; i < 2; i++) angles[i] = exactly(middle[i * n + k]);
+    tread_at(own, angles, spot, turned, rolled);
+    pose_of(arrays, 0, all, at, base, rotation);
+    placed(base, rotation, spot, thin);
+    for (i = 0; i < 2; i++)
+      angles[i] = outward(middle[i * n + k] - half[i * n + k], middle[i * n + k] + half[i * n + k], TINY);
+    tread_at(own, angles, spot, turned, rolled);
+    pose_of(arrays, 2, all, at, base, rotation);
+    placed(base, rotation, spot, place);
+    for (i = 0; i < 2; i++) {
+      center[i] = (thin[i].low + thin[i].high) / 2;
+      thin[i] = minus(thin[i], exactly(center[i]));
+      away[i] = minus(place[i], exactly(center[i]));
+    }
+    jets = jets_at(&m, center);
+    slopes_near(&m, &jets, away, slope, &missed);
+    known = known_near(&m, &jets, higher(magnitude(away[0]), magnitude(away[1])), &missed);
+    for (i = 0; i < 3; i++) {
+      normal[i] = minus(rotation[2][i], times(rotation[0][i], slope[0]));
+      normal[i] = minus(normal[i], times(rotation[1][i], slope[1]));
+      apart[i] = magnitude(minus(spot[i], taken(arrays, 4, i, all, at)));
+      tilt[i] = magnitude(normal[i]);
+    }
+    around = inner(normal, turned);
+    across = inner(normal, rolled);
+    spread = (magnitude(around) * half[k] + magnitude(across) * half[n + k]) * (1 + 1e-12);
+    point = minus(thin[2], height_near(&m, &jets, magnitude(thin[0]), magnitude(thin[1]), &missed));
+    gap = outward(point.low - spread, point.high + spread, 0);
+    change = tilt[0] * (xy * apart[1] + xz * apart[2]) + tilt[1] * (xy * apart[0] + yz * apart[2])
+             + tilt[2] * (xz * apart[0] + yz * apart[1]);
+    for (i = 0; i < 2; i++)
+      change += magnitude(minus(slope[i], taken(arrays, 5, i, all, at))) * shift[i * all + at];
+    limit = arrays[14][at] + change;
+    higher_up = gap.low > limit + 1e-12 * (fabs(limit) + change);
+    inside = u - half[n + k] > EDGE && u + half[n + k] < PI - EDGE;
+    changes = !has_zero(around) || (!has_zero(across) && inside);
+    gaps[k] = gap.low;
+    gaps[n + k] = gap.high;
+    gaps[2 * n + k] = point.high;
+    flags[k] = (unsigned char)((!(known & 2) || !(higher_up || changes)) + 2 * known);
+  }
+  return (int)missed;
+}
+
 #ifdef _WIN32
 API void *PyInit__kernel(void) { return NULL; } /* the linker is told to export it */
 #endif

@@ -13,7 +13,7 @@ import threading
 from functools import cache
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -46,7 +46,7 @@ class Opened(NamedTuple):
         """Return the local heights at local points, shape (n,) [m]."""
         x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
         heights = np.empty(x.size)
-        held = (_pointer(array) for array in (x, y, heights))
+        held = (pointer(array) for array in (x, y, heights))
         self.library.kernel_heights(self.slot, ctypes.c_longlong(x.size), *held)
         return heights
 
@@ -83,9 +83,9 @@ class Opened(NamedTuple):
         self.library.kernel_gaps(
             self.slot,
             *(ctypes.c_longlong(each) for each in (n, rim, across)),
-            *(_pointer(each) for each in arrays),
+            *(pointer(each) for each in arrays),
             *(ctypes.c_double(each) for each in (touching, near)),
-            *(_pointer(each) for each in (np.empty(rim * (across + 1)), best, index)),
+            *(pointer(each) for each in (np.empty(rim * (across + 1)), best, index)),
         )
         return best, index
 
@@ -110,7 +110,7 @@ def register_ground(cells: Cells) -> Opened | None:
         slot = free[0]
         _TABLES[slot] = table
         compiled.kernel_open(
-            slot, _pointer(table), ctypes.c_longlong(table.shape[1]), _pointer(numbers)
+            slot, pointer(table), ctypes.c_longlong(table.shape[1]), pointer(numbers)
         )
         cell, nearest = (
             ca.external(f"{name}{slot}", compiled._name) for name in ("ground", "nearest")
@@ -135,5 +135,6 @@ def library() -> ctypes.CDLL | None:
     return None
 
 
-def _pointer(array: Array | Indices) -> ctypes.c_void_p:
+def pointer(array: np.ndarray[Any, Any]) -> ctypes.c_void_p:
+    """Return the address of a contiguous array."""
     return array.ctypes.data_as(ctypes.c_void_p)
