@@ -156,10 +156,10 @@ class Description(NamedTuple):
 
     @property
     def main(self) -> Lines:
-        """Facts with guesses in short and missing shapes, without other notes on the file."""
+        """Facts with missing shapes, guesses and other choices in short, without other notes."""
         notes = [text for name, text in self.facts if name == NOTE]
-        shown = [text for text in notes if text.startswith(("guessed", "clearance without"))]
-        shown = [text.partition("; otherwise")[0] for text in shown]
+        pieces = [text.partition("; otherwise") for text in notes]
+        shown = [t for t, other, _ in pieces if other or t.startswith(("guessed", "clearance w"))]
         shown += [f"tree of parts, and all {len(notes)} notes: slipfree vehicle FILE -v"]
         facts = [each for each in self.facts if each[0] != NOTE]
         return facts + [(NOTE, text) for text in shown * bool(notes)]

@@ -102,7 +102,7 @@ def contours(grid: Grid, ax: Axes, window: Window) -> Axes:
     if np.nanmax(z) > np.nanmin(z):
         lines = ax.contour(x, y, z.T, levels=10, colors="0.5", linewidths=0.4, zorder=1)
         levels = np.asarray(lines.levels)[::2]
-        for words in ax.clabel(lines, levels, fontsize=5, fmt="%g m", inline_spacing=2, zorder=1):
+        for words in ax.clabel(lines, levels, fontsize=5, fmt="%g m", inline_spacing=2, zorder=3.5):
             words.set_path_effects(style.halo(1.5))
             inside = ax.transAxes.inverted().transform(ax.transData.transform(words.get_position()))
             words.set_visible(bool(np.all(np.abs(inside - 0.5) < INSIDE)))

@@ -329,6 +329,7 @@ def map_plot(drive: PlottedDrive) -> Plot:
         figure, ax, window = ground_drawing.map_figure(x, y, grid, 0.15)
         ground_drawing.solids(drive.prisms, ground_drawing.muted(grid, ax, window))
         ground_drawing.hatch(grid, grid.filled, window, "filled holes", FILLED, ax)
+        ground_drawing.hatch(grid, grid.holes, window, "no heights", "0.4", ax)
         places = [place for place in drive.marks.get("places", ()) if place[0] != "start"]
         path(run, ground_drawing.plan_marks(ax, **{**drive.marks, "places": places}))
         if "slip_along" in run:
