@@ -171,7 +171,7 @@ def test_run_plans_simulates_and_tells():
     assert result.exit_code == 0, result.output
     shown = invoke("info", "p.nc").stdout
     told = dict(line.split("  ", 1) for line in shown.splitlines() if "  " in line)
-    assert told["driven by"].strip().startswith("plan to x 0.6, y 2.6 in 20 s")
+    assert told["driven by"].strip().startswith("plan to x 0.6 m, y 2.6 m in 20 s")
     assert "effort" in told["plan"]
     assert "iterations" in told["plan"]
     assert told["simulated"].strip().startswith("differs from the plan by at most x ")
