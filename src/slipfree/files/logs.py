@@ -19,14 +19,7 @@ from slipfree.core.records import Array, ComplexArray, Indices, Mask
 from slipfree.files.maps.reference_systems import metric_system
 from slipfree.files.mcap import is_mcap, read_motion_log
 from slipfree.files.netcdf import read as read_result
-from slipfree.files.tables import (
-    ALIASES,
-    Columns,
-    line_of,
-    read_columns,
-    read_names,
-    split_unit,
-)
+from slipfree.files.tables import ALIASES, Columns, line_of, read_columns, read_names, split_unit
 
 POSE = ("x", "y", "heading", "vx", "vy", "window")  # columns that rows of a log must have
 GAP = 1.5  # longest time between rows whose positions count as continuous [s], or 1.5 medians
