@@ -206,12 +206,8 @@ class AtlasGraphs(NamedTuple):
     @property
     def every(self) -> tuple[Graph, ...]:
         """All graphs."""
-        graphs = list[Graph]()
-        if self.hold is not None:
-            graphs.append(self.hold)
-        if self.friction is not None:
-            graphs += [self.friction.start, self.friction.step]
-        return tuple(graphs)
+        hold = () if self.hold is None else (self.hold,)
+        return hold if self.friction is None else (*hold, self.friction.start, self.friction.step)
 
 
 class Reduction(NamedTuple):
