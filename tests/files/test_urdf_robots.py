@@ -253,6 +253,7 @@ PATTERNS = (
     "{s}{e}_joint",
     "{side}_drive_{end}",
     "rad_{end}_{side}",
+    "rueda_{end}_{side}",
 )
 
 
@@ -261,9 +262,9 @@ PATTERNS = (
 def test_names_tell_forward(pattern, yaw, axis, tmp_path):
     """Also if the axes of the wheels point to both sides, so that their rates cancel."""
     parts = wheels(pattern, ENDS, yaw=yaw)
-    if "rad" in pattern:
-        for word in ("front vorne", "rear hinten", "left links", "right rechts"):
-            parts = parts.replace(*word.split())
+    for stem, names in (("rad_", "vorne hinten links rechts"), ("rueda_", "del tras izq der")):
+        for word, own in zip((*ENDS, "left", "right"), names.split(), strict=True):
+            parts = parts.replace(word, own) if pattern.startswith(stem) else parts
     cancelling = parts.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', 2)
     for text in (parts, cancelling):
         vehicle = read_vehicle(written(tmp_path, text))

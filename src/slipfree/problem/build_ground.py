@@ -268,7 +268,7 @@ def _check_heights(ground_map: elevation.Map, scale: float) -> None:
     low, high = ground_map.grid.values.min(), ground_map.grid.values.max()
     if ground_map.gray:
         raise ModelError(
-            "expected vertical_scale, the metres per gray level of a picture, found none; "
+            "expected terrain.vertical_scale, the metres per gray level of a picture, found none; "
             "set it to the difference between the highest and the lowest height in metres divided "
             f"by {high - low:g} (the levels extend from {low:g} to {high:g}), or to 1 if the "
             "levels are metres"
@@ -276,8 +276,8 @@ def _check_heights(ground_map: elevation.Map, scale: float) -> None:
     if not EARTH[0] <= scale * low <= scale * high <= EARTH[1]:
         raise ModelError(
             f"expected heights from {EARTH[0]:g} to {EARTH[1]:g} m, as on the earth, found "
-            f"{scale * low:g} to {scale * high:g} m; set vertical_scale, the metres per unit of "
-            "the heights (0.01 for centimetres, 0.1 for decimetres, 1 if they are metres)"
+            f"{scale * low:g} to {scale * high:g} m; set terrain.vertical_scale, the metres per "
+            "unit of the heights (0.01 for centimetres, 0.1 for decimetres, 1 if they are metres)"
         )
 
 
