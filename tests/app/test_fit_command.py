@@ -143,6 +143,7 @@ def test_results_of_slipfree_are_logs() -> None:
         (("verb", "frame = 'x'\nverb"), r"fit.toml:2: .*'paper' or 'rep103'.*'x'"),
         (('"fit"', "'fit-over-map'"), r"fit.toml:2: .*'fit-over-map'; use slipfree fit, verb"),
         (("verb", "train = 0.5\nverb"), r"fit.toml:2: .*'train' of earlier versions; omit it"),
+        (("window = 1.0", "window = -1"), r"fit.toml:\d+: data.window: .*than 0, or text in quo"),
         (("file =", "delay = 1\nfile ="), r"fit.toml:7: .*earlier versions; use 'constants.delay'"),
     ],
 )
@@ -198,6 +199,7 @@ CIRCLE = np.column_stack([TIMES, 3 + 0 * TIMES, 4 + 0 * TIMES, np.sin(YAW), 1 - 
     ("factors", "words"),
     [
         ({0: 1e3}, "times in ms, as in 't [ms]'"),
+        ({0: 1 / 60}, "times in minutes, as in 't [minutes]'"),
         ({1: 30 / np.pi, 2: 30 / np.pi}, "rates in rpm, as in 'left [rpm]'"),
         ({3: 1e3, 4: 1e3}, "positions in mm, as in 'x [mm]'"),
     ],

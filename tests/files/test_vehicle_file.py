@@ -171,6 +171,7 @@ value = "swivel"
 DRIVE = "{ kind = 'motor', stall = 2.0, no_load = 20, kp = 5.0 }"
 ADDED = [  # after what: a line, and words of the error
     ('"rep103"', "inertia = [1, 2, -3, 0, 0, 0]", "principal moments of inertia must be"),
+    ('"rep103"', "inertia = [1, 1, 5, 0, 0, 0]", "sum of the others, found 1, 1, 5 kg m^2; c"),
     ("radius = 0.1\n", "drive = { kind = 'steam' }", "'kind' is one of 'rate', 'torque', 'm"),
     ("radius = 0.1\n", "drive = { kind = 'motor', stall = 2 }", "drive.no_load"),
     ('"passive"', "drive = { kind = 'steam' }", "v.toml:7: coordinates[0].drive (coordinate 'swi"),
@@ -191,6 +192,7 @@ RIGHT = LONG[LONG.index('[[wheels]]\nname = "right"') : LONG.index('[[wheels]]\n
         ('value = "swivel"\n', SLIDES, "expected only turning or only sliding joints whose value"),
         ('axis = "z"', f"axis = [{10**400}, 0, 0]", "v.toml:11: joints[0].axis (joint 'fork'):"),
         ('"swivel"\n\n', f'"{"-" * 990}swivel"\n\n', "v.toml:13: joints[0].value (joint 'fork'):"),
+        ('value = "swivel"', 'value = "swivel/0"', "expected a finite value, found none; corr"),
     ],
 )
 def test_one_fault(old, new, fault, tmp_path):
@@ -424,13 +426,13 @@ def test_keys_of_the_catalogue_are_those_of_its_function(keys, words, folder):
 
 
 def test_inertia_and_drives_are_read_with_the_axes_of_the_file(tmp_path):
-    text = LONG.replace('frame = "rep103"', 'frame = "rep103"\ninertia = [1, 2, 3, 0.1, 0.2, 0.3]')
+    text = LONG.replace('frame = "rep103"', 'frame = "rep103"\ninertia = [2, 3, 4, 0.1, 0.2, 0.3]')
     text = text.replace(
         "radius = 0.1\n", f"radius = 0.1\ninertia = [0.01, 0.006]\ndrive = {DRIVE}\n"
     )
     (tmp_path / "v.toml").write_text(text)
     vehicle = read_vehicle(tmp_path / "v.toml")
-    assert vehicle.body.inertia == (2, 1, 3, -0.1, -0.3, 0.2)
+    assert vehicle.body.inertia == (3, 2, 4, -0.1, -0.3, 0.2)
     assert vehicle.wheels[2].inertia == (0.01, 0.006)
     assert vehicle.wheels[2].drive == Motor(2.0, 20.0, 5.0)
 

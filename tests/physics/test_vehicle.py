@@ -122,10 +122,7 @@ def with_joint(k, **parts):
         (with_joint(0, parent="fork"), "right_hub': parent: expected one of platform, found"),
         (with_joint(0, value="lean"), "right_hub': value: expected a formula of the coordin"),
         (with_joint(0, axis=(0, 0, 0)), "axis: expected 'x', 'y', 'z' or a nonzero vector of thre"),
-        (
-            with_joint(0, at=(0, 0, np.nan)),
-            "joint 'right_hub': at[2]: expected a number, found float nan",
-        ),
+        (with_joint(0, at=(0, 0, np.nan)), "right_hub': at[2]: expected a number, found float nan"),
         (with_joint(0, turned=(0, 0)), "joint 'right_hub': turned: expected 3 numbers"),
         (with_joint(0, value="a b"), "joint 'right_hub': formula 'a b'"),
         (

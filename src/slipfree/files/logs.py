@@ -47,6 +47,7 @@ OF_SPEEDS = {
 }
 OF_POSES = {
     "times in ms, as in 't [ms]'": 1e-3,
+    "times in minutes, as in 't [minutes]'": 60.0,
     "positions in feet, as in 'x [ft]'": 1 / 0.3048,
     "positions in cm, as in 'x [cm]'": 1e2,
     "positions in mm, as in 'x [mm]'": 1e3,
@@ -189,9 +190,9 @@ def _check_times(path: Path, table: Columns, is_apart: Mask, *, is_fit: bool) ->
     interval = float(np.median(np.diff(t)[~is_apart])) if not is_apart.all() else 0.0
     if is_fit and interval > MAX_INTERVAL:
         raise DataError(
-            f"expected samples of a log at most {MAX_INTERVAL:g} s apart, found {interval:g} s "
-            "(median); if the times are in other units, name them in [data.columns], as in "
-            "t = 't [ms]'"
+            f"{path}: expected samples of a log at most {MAX_INTERVAL:g} s apart, found "
+            f"{interval:g} s (median); if the times are in other units, name them in "
+            "[data.columns], as in t = 't [ms]'"
         )
     is_jump = (steps < 0) | (steps > max(JUMP, 100 * interval))
     if is_jump.any():

@@ -456,6 +456,9 @@ def _choose(
         if len(indices) != 1:
             columns = ", ".join(dict.fromkeys(requested.values()))
             fault = f"{len(indices)} columns {name!r}" if indices else f"no column {name!r}"
+            with_unit = re.compile(rf"{re.escape(base)}\s*[\[(]", re.IGNORECASE)
+            if not indices and (odd := next(filter(with_unit.match, names), "")):
+                fault += f" (the unit of {odd!r} is unknown: convert it to an SI unit)"
             raise DataError(
                 f"{layout.path}: expected the columns {columns}, found {fault} among "
                 f"{', '.join(names)[:LONG]}; name the columns in {where}"

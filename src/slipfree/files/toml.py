@@ -55,6 +55,7 @@ MAX_DEPTH = 100  # accepted levels of nested arrays and tables
 KEY = re.compile(r"""\s*((?:"(?:\\.|[^"\\])*"|'[^']*'|[^"'=\]])+)""")
 MAX_ERRORS = 50  # largest number of errors in a message
 MAX_SHOWN_NUMBER = 1e300  # larger integers are described by their number of bits
+ALTERNATIVES = "constrained-", "tuple["  # names of types in places of errors
 MAX_VALUE = 1e100  # largest quantity; its squares and cubes are finite
 MAX_SHOWN_DEPTH = 3  # nesting up to which arrays are shown
 ERRORS = read_table(__file__, "toml_errors.toml")
@@ -265,7 +266,9 @@ def value_errors(value: Any, place: Place = ()) -> Iterator[Fault]:
 
 def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) -> Fault:
     """Return an error of pydantic in the ``data`` of a file as a `Fault`: key and both values."""
-    place, kind = tuple(error["loc"]), error["type"]
+    # of a value with alternatives, pydantic adds the name of each to the place
+    place = tuple(part for part in error["loc"] if not str(part).startswith(ALTERNATIVES))
+    kind = error["type"]
     found = "none" if kind == "missing" else format_value(error["input"])
     if kind == "extra_forbidden":
         record = record_at(schema, place[:-1], data)

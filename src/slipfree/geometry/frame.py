@@ -129,6 +129,7 @@ def quaternion(rotation: ca.SX) -> ca.SX:
     return q * ca.if_else(q[3] < 0, -1, 1)
 
 
+TRIANGLE = 1e-3  # relative error of the triangle inequality from rounded moments of inertia
 Elements = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
 
 
@@ -136,6 +137,12 @@ def tensor(elements: Elements) -> Array:
     """Return the symmetric matrix, shape (3, 3), of the elements xx, yy, zz, xy, xz, yz."""
     xx, yy, zz, xy, xz, yz = elements
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def is_inertia(given: Elements) -> bool:
+    """Return whether a body has these moments of inertia: none is above the sum of the others."""
+    least, middle, most = np.linalg.eigvalsh(tensor(given))
+    return bool(least > 0 and most <= (1 + TRIANGLE) * (least + middle))
 
 
 def elements(matrix: Array) -> Elements:

@@ -107,10 +107,13 @@ def validated_problem(
     try:
         spec = schema.model_validate(data)
     except ValidationError as error:
-        faults += [
-            toml.validation_fault(schema, data, dict(each))
-            for each in error.errors(include_url=False)
-        ]
+        found = dict[toml.Place, toml.Fault]()
+        for each in error.errors(include_url=False):
+            fault = toml.validation_fault(schema, data, dict(each))
+            if other := found.get(fault.place):  # the error of another alternative
+                fault = other._replace(expected=f"{other.expected}, or {fault.expected}")
+            found[fault.place] = fault
+        faults += found.values()
     else:
         faults += [*toml.value_errors(data), *spec.faults()]
         if not faults:

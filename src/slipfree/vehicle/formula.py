@@ -19,6 +19,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
 }
 CONSTANTS = {"pi": math.pi}
 MAX_SHOWN = 60  # characters of a formula in a message
+TRIED = 0.0, 0.1, -0.1  # values of the coordinates, at one of which a formula is finite
 MAX_NUMBER = 1e300  # largest number in a formula
 OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: lambda a, b: a + b,
@@ -50,7 +51,10 @@ def names_in(text: str) -> frozenset[str]:
     tree = _parse(text)
     used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     names = frozenset(used - set(CONSTANTS) - set(FUNCTIONS))
-    _evaluate_node(tree, text, {name: ca.SX.sym(name) for name in names}, MAX_DEPTH)
+    at = (_evaluate_node(tree, text, dict.fromkeys(names, ca.SX(x)), MAX_DEPTH) for x in TRIED)
+    if not any(math.isfinite(float(ca.evalf(ca.SX(value)))) for value in at):
+        message = f"formula {shortened(text, MAX_SHOWN)!r}: expected a finite value, found none"
+        raise ModelError(f"{message}; correct divisions by zero and the domains of functions")
     return names
 
 

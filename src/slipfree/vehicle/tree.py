@@ -50,7 +50,7 @@ class Body:
     ------
     ModelError
         If the mass is negative, if a number is not finite, if ``at`` or ``inertia`` has another
-        length, or if a principal moment of inertia is not positive.
+        length, or if a principal moment of inertia is not positive, or above the sum of the others.
     """
 
     mass: NonNegative = 0.0
@@ -61,11 +61,12 @@ class Body:
     __repr__ = field_overview
 
     def __post_init__(self) -> None:
-        least = 1.0 if self.inertia is None else np.linalg.eigvalsh(frame.tensor(self.inertia))[0]
-        if least <= 0:
+        if self.inertia is not None and not frame.is_inertia(self.inertia):
+            principal = np.linalg.eigvalsh(frame.tensor(self.inertia))
+            moments = ", ".join(f"{each:.3g}" for each in principal)
             raise ModelError(
-                "body: the principal moments of inertia must be positive, found the smallest to be "
-                f"{least:.3g} kg m^2; correct the inertia"
+                "body: the principal moments of inertia must be positive, and none larger than the "
+                f"sum of the others, found {moments} kg m^2; correct the inertia"
             )
 
 

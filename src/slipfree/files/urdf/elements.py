@@ -8,14 +8,12 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Any, cast
 
-import numpy as np
-
 from slipfree.files.urdf import tree, xacro
 from slipfree.files.urdf.evidence import actuators, plugins
 from slipfree.files.urdf.wheels import with_separate_balls
 from slipfree.files.urdf.xml import Element, number_in, parse_robot
 from slipfree.files.vehicle_toml import MAX_LENGTH, degrees_words, in_order, rotation_of
-from slipfree.geometry.frame import Elements, Vector, in_axes, tensor
+from slipfree.geometry.frame import Elements, Vector, in_axes, is_inertia
 from slipfree.vehicle.shapes import Box
 from slipfree.vehicle.wheel import ORIGIN
 
@@ -34,7 +32,6 @@ ATTRIBUTES = {  # of elements; others are errors where one of the first four is 
     "inertia": MOMENTS,
 }
 NEAR = 0.8  # least similarity of a misspelt name
-TRIANGLE = 1e-3  # relative error of the triangle inequality from rounded moments of inertia
 
 
 def read_tree(
@@ -219,10 +216,7 @@ def _inertia(inertial: _UrdfElement, turned: Vector) -> Elements | None:
         return None
     xx, yy, zz, xy, xz, yz = (element.number(key, 0.0) for key in MOMENTS)
     moments = (xx, yy, zz, xy, xz, yz)
-    least, middle, most = np.linalg.eigvalsh(tensor(moments))
-    if least <= 0 or most > (1 + TRIANGLE) * (least + middle):
-        return None
-    return in_axes(rotation_of(turned), moments)
+    return in_axes(rotation_of(turned), moments) if is_inertia(moments) else None
 
 
 def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> tree.Geometry | None:
