@@ -6,10 +6,8 @@
 ``rates``
     Motions a second of CPU in one process by step, with limits and error estimates, errors at the
     end against `simulate` at 1e-9 (median, 95 %), and the ratio to compiled `simulate` at 1e-4.
-``order``
-    Errors of 64 motions by step, against a step of 5 mm.
 ``estimates``
-    Quantiles of estimate over true error.
+    Quantiles of estimate over true error, and shares from 0.3 to 3 for each state.
 ``poses``
     Poses a second of CPU on maps of growing roughness, the share that was found, and the largest
     difference from `settle`.
@@ -17,11 +15,14 @@
     Random motions on rough maps: motions a second with those that are left to `simulate`, outcomes
     and times of ends beside `simulate`.
 ``explicit``
-    One motion by ``SolverOptions(method="explicit")`` and by IDAS: times and errors by tolerance.
+    Single motions of five vehicles with 41 and 101 samples by ``SolverOptions(method="explicit")``
+    and by IDAS: times and errors by tolerance, which ``docs/figures/work_precision.png`` shows.
 ``machines``
     Lanes, processes and interpreted graphs: rates and differences.
 ``soak``
     Rates and memory while a million motions are written to a file.
+``signals``
+    Times from a signal to its exception in calls of the batch.
 ``controller``
     C code of `slipfree export --c`: size, time of compilation, the largest difference from Python
     in 100 states, and times of a call, a pose from 1 cm above it.
@@ -31,20 +32,29 @@ Rates are the best of three repetitions.
 
 from __future__ import annotations
 
+import os
 import resource
+import signal
 import subprocess
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
+from threading import Timer
 from typing import Any, NamedTuple
 
+import casadi as ca
+import matplotlib as mpl
 import numpy as np
-from common import run_parts
+from common import cpu, run_parts
 
 from slipfree import (
+    Analytic,
     Bicubic,
     Coulomb,
     ModelError,
@@ -59,7 +69,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.batch.evaluator import evaluator_of
-from slipfree.batch.many import run_lanes, stand, start_states
+from slipfree.batch.many import run_lanes, start_states
 from slipfree.core.dae import Dae
 from slipfree.core.records import leaves
 from slipfree.files.controller import export_controller
@@ -70,6 +80,9 @@ T = np.linspace(0.0, 4.0, 11)
 SPEED, SPREAD, STEERING = 0.5, 0.1, 0.15  # [m/s], of the speed, [rad/s]
 RUNS, COMPARED, MANY = 512, 24, 10_000_000
 KEPT = ["x", "y"]
+FIGURE = Path(__file__).parent.parent / "docs" / "figures" / "work_precision.png"
+TOLERANCES = 10.0 ** np.arange(-2, -9, -1)  # explicit, pressed: two
+ROUNDING = 1e-12  # of states that are integrated exactly [m, rad]
 
 
 class Case(NamedTuple):
@@ -80,6 +93,7 @@ class Case(NamedTuple):
     steps: tuple[float, ...] = (0.25, 0.1, 0.05)
 
 
+FORMULA = Analytic(lambda x, y: 0.05 * ca.sin(1.5 * x) * ca.cos(1.5 * y))
 ROCKY, PRESSED = catalog.rocky7(steered="corners"), (0.1, 0.05, 0.025)
 CASES = {
     "Rocky 7": Case(ROCKY),
@@ -88,9 +102,11 @@ CASES = {
     "articulated cart": Case(catalog.articulated()),
     "rigid four-wheeler": Case(catalog.rigid_skid_steer(), steps=PRESSED),
     "rigid six-wheeler": Case(catalog.rigid_skid_steer(axles=3), steps=PRESSED),
+    "Rocky 7 on a formula": Case(ROCKY, lambda vehicle, _: direct_kinematics(vehicle, FORMULA)),
     "Rocky 7, creep 1e-3 m/s": Case(ROCKY, partial(quasi_statics, law=Coulomb(creep=1e-3))),
     "Rocky 7 on soil": Case(ROCKY, partial(quasi_statics, law=Soil())),
 }
+SINGLE, SIGNALLED = list(CASES)[:5], ("Rocky 7", "Rocky 7, creep 1e-3 m/s")
 ROUGH = {  # rms and shortest wave [m], cell [m], Hurst exponent: for poses and ends
     "3 cm, 0.8 m": (0.03, 0.8, 0.1, 0.9),
     "10 cm, 0.5 m": (0.1, 0.5, 0.1, 0.9),
@@ -136,14 +152,11 @@ def inputs_of(model: Dae, vehicle: Vehicle, count: int, seed: int = 1) -> dict[s
     return found
 
 
-def cpu(task: Callable[[], Any], repeats: int = 3) -> tuple[float, Any]:
-    """Return the least CPU time of a call [s], and its result; calls take a second together."""
-    times, result = [], None
-    while len(times) < repeats or sum(times) < 1.0:
-        begin = time.process_time()
-        result = task()
-        times.append(time.process_time() - begin)
-    return min(times), result
+def motions_of(name: str, count: int, seed: int = 1) -> Callable[..., Any]:
+    """Return `rollouts` of motions of a case, in the batch for a given ``step``."""
+    model, vehicle = model_of(name), CASES[name].vehicle
+    start, inputs = settle(model, y=-1.5), inputs_of(model, vehicle, count, seed)
+    return partial(rollouts, model, start, inputs, T, method="batch", quantities=KEPT)
 
 
 def distance(one: Any, other: Any, count: int) -> Any:
@@ -158,29 +171,19 @@ def rates() -> None:
         f"{'estimate':>9}  simulated   (errors in mm)"
     )
     for name, case in CASES.items():
-        model = model_of(name)
-        start = settle(model, y=-1.5)
-        inputs = inputs_of(model, case.vehicle, RUNS)
+        batched = motions_of(name, RUNS)
+        model, start, inputs, _ = batched.args
         few = {key: values[:COMPARED] for key, values in inputs.items()}
-        exact = rollouts(model, start, few, T, options=EXACT, quantities=KEPT)
-
-        def simulated(model: Any = model, start: Any = start, few: Any = few) -> Any:
-            return rollouts(model, start, few, T, options=USUAL, quantities=KEPT)
-
+        simulated = partial(rollouts, model, start, few, T, quantities=KEPT, options=USUAL)
+        exact = simulated(options=EXACT)
         simulated()  # compiles
         slow, usual = cpu(simulated, 1)
         slow /= COMPARED
         error = 1e3 * np.nanmedian(distance(usual, exact, COMPARED))
         print(f"{name:24}{'':7}{1 / slow:11.1f}{1:12.0f}{error:9.3f}  simulate, 1e-4", flush=True)
         for step in case.steps:
-
-            def lanes(
-                step: float = step, model: Any = model, start: Any = start, inputs: Any = inputs
-            ) -> Any:
-                return rollouts(model, start, inputs, T, method="batch", step=step, quantities=KEPT)
-
-            lanes()  # compiles
-            took, batch = cpu(lanes)
+            batched(step=step)  # compiles
+            took, batch = cpu(partial(batched, step=step))
             errors = 1e3 * distance(batch, exact, COMPARED)
             estimate = 1e3 * float(np.nanmedian(batch["error"]))
             left = int(np.isnan(batch["error"]).sum())
@@ -192,44 +195,27 @@ def rates() -> None:
             )
 
 
-def order() -> None:
-    """Print median errors by step, and the observed order."""
-    steps = 0.2, 0.1, 0.05, 0.025
-    for name, case in CASES.items():
-        model = model_of(name)
-        start, inputs = settle(model, y=-1.5), inputs_of(model, case.vehicle, 64)
-
-        def lanes(step: float, model: Any = model, start: Any = start, inputs: Any = inputs) -> Any:
-            return rollouts(model, start, inputs, T, method="batch", step=step, quantities=KEPT)
-
-        fine = lanes(0.005)
-        errors = [np.nanmedian(distance(lanes(step), fine, 64)) for step in steps]
-        orders = np.log2(np.array(errors[:-1]) / errors[1:])
-        print(
-            f"{name:24}" + "".join(f"{1e3 * e:10.5f}" for e in errors) + " mm; order",
-            np.round(orders, 1).tolist(),
-            flush=True,
-        )
-
-
 def estimates() -> None:
-    """Print quantiles of the ratio of estimate and true error, of 1000 motions."""
-    print(f"{'':24}{'step':>7}  quantiles 2.5, 25, 50, 75, 97.5 %; share from 0.3 to 3")
+    """Print the ratios of estimates and true errors of 400 motions, and shares for states."""
+    print(f"{'':24}{'step':>7}  quantiles 2.5, 25, 50, 75, 97.5 %; shares from 0.3 to 3")
     for name, case in CASES.items():
-        model = model_of(name)
-        start, inputs = settle(model, y=-1.5), inputs_of(model, case.vehicle, 1000, seed=2)
-
-        def lanes(step: float, model: Any = model, start: Any = start, inputs: Any = inputs) -> Any:
-            return rollouts(model, start, inputs, T, method="batch", step=step, quantities=KEPT)
-
+        batched, states = motions_of(name, 400, seed=2), list(leaves(model_of(name).labels.x))
+        run = partial(batched, quantities=[label.full for label in states])
         for step in case.steps[:2]:
-            coarse = lanes(step)
-            error = distance(coarse, lanes(step / 10), 1000)
-            ratio = coarse["error"].values / error
-            ratio = ratio[np.isfinite(ratio)]
-            share = np.mean((ratio > 0.3) & (ratio < 3))
-            quantiles = np.quantile(ratio, (0.025, 0.25, 0.5, 0.75, 0.975))
-            print(f"{name:24}{step:7.3g} ", np.round(quantiles, 2), f"{share:.3f}", flush=True)
+            coarse, fine = run(step=step), run(step=step / 20)
+            errors = {"error": distance(coarse, fine, 400)}
+            for label in states:
+                apart = np.abs(coarse[label.full] - fine[label.full]).values[:, -1]
+                if np.nanmedian(apart) > ROUNDING:
+                    errors[f"error_{label.full}"] = apart
+            ended = np.isnan(errors["error"])
+            ratios = {key: (coarse[key].values / e)[~ended] for key, e in errors.items()}
+            shares = [
+                f"{key.removeprefix('error_')} {np.mean((ratio > 0.3) & (ratio < 3)):.3f}"
+                for key, ratio in ratios.items()
+            ]
+            quantiles = np.quantile(ratios["error"], (0.025, 0.25, 0.5, 0.75, 0.975))
+            print(f"{name:24}{step:7.3g} ", np.round(quantiles, 2), ", ".join(shares), flush=True)
 
 
 def poses() -> None:
@@ -241,15 +227,8 @@ def poses() -> None:
             rng = np.random.default_rng(0)
             place = {"x": rng.uniform(-4.5, 4.5, count), "y": rng.uniform(-4.5, 4.5, count)}
             place["heading"] = rng.uniform(-3.0, 3.0, count)
-            evaluate = evaluator_of(model)
-            states = start_states(evaluate.graphs, place)
-
-            def stood(evaluate: Any = evaluate, states: Any = states) -> Any:
-                blocks = (states[:, k : k + 512].copy() for k in range(0, count, 512))
-                return np.concatenate([stand(evaluate, block).has_pose for block in blocks])
-
-            took, found = cpu(stood)
-            whole, many = cpu(lambda m=model, p=place: settle_many(m, **p), 2)
+            took, many = cpu(partial(settle_many, model, **place), 2)
+            found = np.mean(many["outcome"] != "failed")
             apart, settled = [], 0
             for k in np.flatnonzero(many["outcome"].values == "complete")[:40]:
                 try:
@@ -261,8 +240,7 @@ def poses() -> None:
                     max(abs(float(many[q][k]) - one[q][0]) for q in ("z", "roll", "pitch"))
                 )
             print(
-                f"{vehicle.name:18} {name:13} {count / took:9.0f} poses/s, {count / whole:8.0f}/s "
-                f"with limits and second contacts; found {found.mean():.4f};",
+                f"{vehicle.name:18} {name:13} {count / took:8.0f} poses/s; found {found:.4f};",
                 f"40 of settle: {settled} settle, {np.sum(np.array(apart) < 1e-7)} equal to 1e-7,",
                 f"median {np.median(apart) if apart else np.nan:.0e} m or rad",
                 dict(Counter(many["outcome"].values.tolist())),
@@ -283,61 +261,58 @@ def ends() -> None:
             both = partial(rollouts, model, start, inputs, T, quantities=KEPT)
             exact = both(options=EXACT)
             took, batch = cpu(partial(both, method="batch", step=0.1), 2)
-            same = [
-                a == b
-                and first.split(" at (")[0].split(":")[0] == second.split(" at (")[0].split(":")[0]
-                for a, b, first, second in zip(
-                    *(run["outcome"].values for run in (batch, exact)),
-                    *(run["reason"].values for run in (batch, exact)),
-                    strict=True,
-                )
+            kinds = [
+                [each.split(" at (")[0].split(":")[0] for each in run["reason"].values]
+                for run in (batch, exact)
             ]
+            same = np.array(kinds[0]) == kinds[1]
+            same &= batch["outcome"].values == exact["outcome"].values
             late = np.abs((batch["end"] - exact["end"]).values)
             simulated = int(np.isnan(batch["error"]).sum())
             print(
-                f"{name:14} {rough_name:13}{count / took:7.1f}/s, same end {sum(same)} of {count}, "
-                f"within {1e3 * np.nanmax(late):.2f} ms, {simulated} simulated or without start;",
+                f"{name:14} {rough_name:13}{count / took:7.1f}/s, same end {same.sum()} of "
+                f"{count}, within {1e3 * np.nanmax(late):.2f} ms, {simulated} left to simulate;",
                 dict(Counter(exact["outcome"].values.tolist())),
                 flush=True,
             )
-            for k in np.flatnonzero(~np.array(same) | (late > 0.01)):
-                for run in (batch, exact):
-                    print(
-                        "     ",
-                        k,
-                        run["outcome"].values[k],
-                        f"{float(run['end'][k]):.4f} s",
-                        run["reason"].values[k][:90],
-                    )
 
 
 def explicit() -> None:
-    """Print times and errors of single motions of Rocky 7 with 41 samples, by both methods."""
-    model = model_of("Rocky 7")
-    start, inputs = settle(model, y=-1.5), inputs_of(model, ROCKY, 3)
-    t = np.linspace(0.0, 4.0, 41)
-    for k in range(3):
-        given = model.inputs(**{name: np.repeat(v[k], 4) for name, v in inputs.items()})
-        options = SolverOptions(tolerance=1e-10, compiled=True)
-        exact = simulate(model, start, given, t, options=options)
-        for tolerance in (1e-3, 1e-4, 1e-6, 1e-8):
-            text = f"motion {k}, tolerance {tolerance:.0e}"
-            for method in (None, "explicit"):
+    """Print median times and errors of three motions by both methods, and draw them."""
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(
+        1, len(SINGLE), figsize=(13, 3.5), sharey=True, layout="constrained"
+    )
+    for name, ax in zip(SINGLE, axes, strict=True):
+        model, pressed = model_of(name), CASES[name].steps == PRESSED
+        inputs = inputs_of(model, CASES[name].vehicle, 3)
+        run = partial(simulate, model, settle(model, y=-1.5))
+        for samples, method in product((41, 101), (None, "explicit")):
+            t, line = np.linspace(0.0, T[-1], samples), []
+            long = {key: np.repeat(v, samples // 10, axis=1) for key, v in inputs.items()}
+            given = [model.inputs(**{key: v[k] for key, v in long.items()}) for k in range(3)]
+            exact = [run(each, t, options=replace(EXACT, tolerance=1e-10)) for each in given]
+            for tolerance in TOLERANCES[: 2 if pressed and method else None]:
                 options = SolverOptions(tolerance=tolerance, method=method, compiled=True)
-
-                def run(given: Any = given, options: SolverOptions = options) -> Any:
-                    return simulate(model, start, given, t, options=options)
-
-                run()  # compiles
-                took, found = cpu(run)
-                error = np.hypot(*(found[name][-1] - exact[name][-1] for name in KEPT))
-                text += f"; {method or 'idas'} {1e3 * took:.1f} ms, error {error:.1e} m"
-            print(text, flush=True)
-
-
-def by_name(name: str) -> Dae:
-    """Return the model of a case, for other processes."""
-    return model_of(name)
+                run(given[0], t, options=options)  # compiles
+                done = [cpu(partial(run, each, t, options=options)) for each in given]
+                errors = [
+                    np.hypot(*(one[key][-1] - other[key][-1] for key in KEPT))
+                    for (_, one), other in zip(done, exact, strict=True)
+                ]
+                line.append((1e3 * np.median([took for took, _ in done]), np.median(errors)))
+            label = f"{method or 'idas'}, {samples} samples"
+            text = "".join(f"{took:8.1f} ms {error:.1e} m" for took, error in line)
+            print(f"{name:19}{label:22}{text}", flush=True)
+            style = {"color": "C1" if method else "C0", "ls": "-" if samples == 41 else ":"}
+            ax.loglog(*zip(*line, strict=True), marker="o", ms=3, label=label, **style)
+        ax.set(title=name, xlabel="CPU time [ms]")
+        ax.grid(alpha=0.3)
+    axes[0].set_ylabel("error [m]")
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.savefig(FIGURE, dpi=110)
 
 
 def machines() -> None:
@@ -351,35 +326,21 @@ def machines() -> None:
         ("interpreted", evaluator_of(model, compiled=False)),
     ):
         states = start_states(evaluate.graphs, {"y": np.full(RUNS, -1.5)})
-
-        def lanes_(evaluate: Any = evaluate, states: Any = states) -> Any:
-            return run_lanes(evaluate, states, array, T, step=0.25, quantities=KEPT)
-
-        took, done = cpu(lanes_, 1 if tag == "interpreted" else 3)
+        lanes = partial(run_lanes, evaluate, states, array, T, step=0.25, quantities=KEPT)
+        took, done = cpu(lanes, 1 if tag == "interpreted" else 3)
         ends_[tag] = np.stack([done.columns[key].values[:, -1] for key in KEPT])
         apart = np.abs(ends_[tag] - ends_["1 lanes"]).max()
         print(
             f"{tag:12} {RUNS / took:8.0f} motions/s, largest difference {apart:.1e} m", flush=True
         )
     many = {key: np.tile(values, (256, 1)) for key, values in inputs.items()}
+    options = {"p": {"name": ["Rocky 7"]}, "quantities": KEPT, "method": "batch", "step": 0.25}
     results = {}
     for processes in (1, 2):
-
-        def run(processes: int = processes) -> Any:
-            return rollouts(
-                by_name,
-                {"y": -1.5},
-                many,
-                T,
-                p={"name": ["Rocky 7"]},
-                quantities=KEPT,
-                method="batch",
-                step=0.25,
-                processes=processes,
-            )
-
         begin = time.perf_counter()
-        results[processes] = run()
+        results[processes] = rollouts(
+            model_of, {"y": -1.5}, many, T, processes=processes, **options
+        )
         rate = 256 * RUNS / (time.perf_counter() - begin)
         print(f"{processes} processes: {rate:.0f} motions/s of wall time, with their start")
     print("equal bits:", all(np.array_equal(results[1][key], results[2][key]) for key in KEPT))
@@ -405,6 +366,23 @@ def soak() -> None:
                 print(f"{text}, {file.tell() / 1e6:6.1f} MB, memory {peak:.0f} MiB", flush=True)
 
 
+def signals() -> None:
+    """Print the longest times from a signal to its exception in long calls [s]."""
+    rough = direct_kinematics(catalog.rigid_skid_steer(), ground(*ROUGH["10 cm, 0.2 m"]))
+    calls = {name: partial(motions_of(name, 2**17), step=0.05) for name in SIGNALLED}
+    calls["poses"] = partial(settle_many, rough, x=np.linspace(-4.5, 4.5, 2**14))
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it in the background
+    for name, call in calls.items():
+        late = []
+        for pause in np.linspace(1.0, 3.0, 10):
+            begin = time.perf_counter()
+            Timer(pause, os.kill, (os.getpid(), signal.SIGINT)).start()
+            with suppress(KeyboardInterrupt):
+                call()
+            late.append(time.perf_counter() - begin - pause)
+        print(f"{name:24}{max(late):.2f} s", flush=True)
+
+
 def controller() -> None:
     """Print sizes, differences and times of the C code of vehicles."""
     vehicles = [catalog.differential_drive(), catalog.ackermann(), catalog.mecanum()]
@@ -425,13 +403,13 @@ def main() -> None:
     run_parts(
         {
             "rates": rates,
-            "order": order,
             "estimates": estimates,
             "poses": poses,
             "ends": ends,
             "explicit": explicit,
             "machines": machines,
             "soak": soak,
+            "signals": signals,
             "controller": controller,
         }
     )

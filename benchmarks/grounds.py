@@ -22,7 +22,7 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from common import apart, run_parts
+from common import apart, cpu, run_parts
 
 from slipfree import Bicubic, Grid, SlipfreeError, direct_kinematics, follow, settle, simulate
 from slipfree.catalog import three_wheeler
@@ -34,7 +34,7 @@ from slipfree.terrain.base import Jet, jet_of
 
 SIZES = (20, 200, 1000, 4000)
 STOCK = 200  # nodes a side up to which the stock spline is fitted
-SPACING, COUNT, REPEATS, SECONDS = 0.1, 1000, 200, 1.0
+SPACING, COUNT = 0.1, 1000
 CELLS, CELL, TILE = 20000, 0.25, 256  # [1], [m], cells
 WEST, SOUTH = 500000.0, 4495000.0  # [m]
 PLACE = WEST + 2500.0, SOUTH + 2500.0  # where the drive begins [m]
@@ -72,18 +72,6 @@ class Stock:
 
     def hole_margin(self, _x: ca.SX, _y: ca.SX, _lookups: LookupTable) -> None:
         """Return no distance: the map has no holes."""
-
-
-def least(task: Callable[[], object]) -> float:
-    """Return the least CPU time of a task per point. [ns]."""
-    best, begin = np.inf, time.perf_counter()
-    for _ in range(REPEATS):
-        clock = time.process_time_ns()
-        task()
-        best = min(best, time.process_time_ns() - clock)
-        if time.perf_counter() - begin > SECONDS:
-            break
-    return best / COUNT
 
 
 def called(
@@ -142,7 +130,7 @@ def evaluation() -> None:
         for name, ground in kinds.items():
             corner = middle if isinstance(ground, Stock) else 0.0
             both = [called(ground, slopes=slopes) for slopes in (False, True)]
-            times = [least(make(at + corner)) for make in both for at in places]
+            times = [1e9 / COUNT * cpu(make(at + corner))[0] for make in both for at in places]
             row = "".join(f"{each:10.0f}" for each in times)
             print(f"{size:5d}^2  {name:18s}{row}", flush=True)
 
