@@ -26,6 +26,7 @@ from matplotlib.figure import Figure
 
 from slipfree import (
     Bicubic,
+    Rolling,
     SlipfreeError,
     SolverOptions,
     catalog,
@@ -133,7 +134,7 @@ print(f"drift of the assembly in Montana's form: {montana['drift_position'].max(
 # be given in principle. How well they determine the rest is a matter of the ground:
 
 # %%
-by_rate = conditions(vehicle, terrain, run)
+by_rate = conditions(direct_kinematics(vehicle, terrain, slip=Rolling()), run)
 for given in (
     ("velocity_x", "velocity_y", "omega_z"),
     ("velocity_x", "velocity_z", "omega_z"),

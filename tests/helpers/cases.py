@@ -2,7 +2,6 @@
 
 import json
 from functools import lru_cache
-from itertools import combinations
 from pathlib import Path
 
 import casadi as ca
@@ -11,7 +10,6 @@ import numpy as np
 from slipfree import Bicubic, Grid, Region, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.catalog import rocky7, three_wheeler
 from slipfree.core.lookups import LookupTable, lookup_function
-from slipfree.models import given_rates
 
 DATA = Path(__file__).parents[1] / "data"
 PAPER_RATES = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.0}
@@ -49,17 +47,6 @@ def case1():
     contacts = np.array(reference["contacts"])  # (right x, right y, left x, ...) by sample
     samples["contact_x"], samples["contact_y"] = contacts[0::2].T, contacts[1::2].T
     return Bicubic(Grid(grid["x"], grid["y"], grid["z"])), samples
-
-
-def conditions(direct, run, solve_for):
-    """Return condition numbers for each choice of three platform rates, infinite if singular."""
-    choices = [*combinations((*given_rates.VELOCITY, *given_rates.OMEGA), 3)]
-    slip, count = given_rates.slip_columns(direct), run.t.size
-    matrices = [slip.matrix(given, solve_for)[0] for given in choices]
-    function = direct.function("matrices", list(direct.columns()), matrices)
-    found = function.map(count)(*(direct.rows(record, run) for record in "xzu"))
-    sizes = np.linalg.cond([given_rates.samples_first(each, count) for each in found])
-    return dict(zip(choices, np.where(sizes < 1e9, sizes, np.inf), strict=True))
 
 
 def straight_on(vehicle, terrain, rate, t):
