@@ -38,8 +38,9 @@ MAX_CANDIDATE_STEPS = 64  # in an interval of a candidate, at the first of sever
 CANDIDATE_TRIES, CANDIDATE_REFINEMENT = 5, 2
 MAX_BISECTIONS = 90
 # Relaxing states at samples, and rates that depend on them, have the error of the last step: steps
-# of half the length follow each other, down to a share of the relaxation time.
-GRADED, LAST_SHARE = 6, 1 / 8
+# of half the length follow each other, down to a share of the relaxation time. They shrink with
+# steps below `GRADED_STEP` [size], or their error would remain however short the other steps are.
+GRADED, LAST_SHARE, GRADED_STEP = 6, 1 / 8, 0.015
 NEAR = 0.05  # clearance at a limit below which a second contact may be earlier [size]
 # parts of the time before such a limit or an unsolved step, at whose ends clearances are computed;
 # a contact often vanishes soon after a second one
@@ -193,10 +194,10 @@ def _integrate(
     is_stiff = dae.lag is not None or not evaluate.graphs.linear
     numbers = _Numbers(step, MAX_STEPS, MAX_TRIES, REFINEMENT, estimated=not is_stiff)
     if dae.lag is not None:
-        numbers = numbers._replace(graded=GRADED, shortest=LAST_SHARE * dae.relaxation_time)
+        last = LAST_SHARE * min(1.0, step / (GRADED_STEP * dae.size)) * dae.relaxation_time
+        numbers = numbers._replace(graded=GRADED, shortest=last)
     run = _drive(evaluate, states, inputs, t, numbers, rows.t.stop, certify=certify)
     samples, reached = run.samples[:, : rows.t.stop], run.reached
-    lanes = np.arange(reached.size)
     if is_stiff:
         half = GIVEN._replace(graded=numbers.graded, shortest=numbers.shortest / 2)
         errors = _errors_by_halving(evaluate, states, inputs, t, run, half)
@@ -211,7 +212,7 @@ def _integrate(
     for k in np.unique(failed[failed < t.size]):
         run.samples[k:, :, failed == k] = np.nan
     if not is_stiff:
-        errors = run.samples[np.maximum(run.reached, 0), rows.t.stop :, lanes].T
+        errors = run.samples[np.maximum(reached, 0), rows.t.stop :, np.arange(reached.size)].T
     invalid = ends.reason == INVALID_START
     distances = np.full((len(evaluate.graphs.bounds), invalid.size), np.nan)
     distances[:, invalid] = solve_forces(evaluate, states[:, invalid])

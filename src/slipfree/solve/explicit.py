@@ -59,7 +59,7 @@ def integrate_explicitly(
     counts = {"steps": float(run.steps[0]), "residuals": 9.0 * total, "set_ups": 0.0}
     states = run.samples[..., 0]
     count = int(np.isfinite(states[:, 0]).sum())
-    if not count:
+    if count < 2:  # no interval to integrate over
         return first, counts
     graphs, t, columns = evaluator.graphs, t[:count], states[:count].T
     rows, u = graphs.rows, np.append(system.u, system.u[:, -1:], axis=1)[:, :count]
