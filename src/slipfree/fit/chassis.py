@@ -12,7 +12,7 @@ import numpy as np
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.fit.force_balance import Chassis
-from slipfree.geometry.frame import Vector, unit_vector
+from slipfree.geometry.frame import Vector, elements, unit_vector
 from slipfree.vehicle.sections import Disc, Omni, Section, Sphere, Torus
 from slipfree.vehicle.tree import Vehicle, body_inertia
 from slipfree.vehicle.wheel import Wheel, wheel_inertia
@@ -93,7 +93,7 @@ def with_dimensions(
         Coordinates 0 and 1 of the centre of all masses, to which the platform's is moved. [m]
     gyration : float, optional
         Moment of inertia about the vertical over mass, of which the platform has what other parts
-        leave. [m^2]
+        leave; its other moments are scaled alike. [m^2]
 
     Raises
     ------
@@ -140,8 +140,8 @@ def with_dimensions(
             f"m^2, that of the other parts, found {gyration:.3g} m^2; reduce their masses, or set "
             "'constants.gyration'"
         )
-    (xx, xy, xz), (_, yy, yz), _ = body_inertia(found, "platform").tolist()
-    return replace(found, body=replace(found.body, inertia=(xx, yy, float(spin), xy, xz, yz)))
+    old = body_inertia(found, "platform")  # a body can have moments of the same shape
+    return replace(found, body=replace(found.body, inertia=elements(old * (spin / old[2, 2]))))
 
 
 def _section(section: Section, radius: float, name: str) -> Section:
