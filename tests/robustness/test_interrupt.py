@@ -28,7 +28,7 @@ from slipfree.core.trajectory import SolverError
 from slipfree.files import netcdf
 from slipfree.files.tables import write_rows
 from slipfree.fit import prediction
-from slipfree.plan import ipopt, tracking, verification
+from slipfree.plan import ipopt, search, tracking, verification
 from slipfree.plan import plan as planning
 from slipfree.plan.ipopt import solve_nlp
 from slipfree.plan.mpc import horizon
@@ -399,7 +399,7 @@ RUNS = {  # function, its call, words of the command, what is told, and the kept
     "kinematics, twice": ((integrator._Relay, "eval_buffer", 1, 2), GRIP[:1], "interrupted\n", OLD),
     "dynamics": ((integrator._Relay, "eval_buffer", 100), INERT, SO_FAR, "interrupted"),
     "sampled": ((zero_order_hold, "run_buffered", 61), HELD, SO_FAR, "interrupted"),
-    "plan that is compiled": ((planning, "transcribe"), PLAN, "interrupted\n", OLD),
+    "plan that is compiled": ((search, "transcribe"), PLAN, "interrupted\n", OLD),
     "plan behind its first iteration": ((ipopt, "largest_violation", 2), PLAN, RESUME, "plan"),
 }
 

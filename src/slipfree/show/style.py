@@ -57,7 +57,7 @@ def figure(width: float, height: float) -> Figure:
 
 def lay_out(figure: Figure) -> None:
     """Place the axes and legends of a figure with automatic layout, without drawing it."""
-    if (engine := figure.get_layout_engine()) is not None:
+    if figure.axes and (engine := figure.get_layout_engine()) is not None:
         engine.execute(figure)
 
 
