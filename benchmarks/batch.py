@@ -308,7 +308,7 @@ def explicit() -> None:
             print(f"{name:19}{label:22}{text}", flush=True)
             style = {"color": "C1" if method else "C0", "ls": "-" if samples == 41 else ":"}
             ax.loglog(*zip(*line, strict=True), marker="o", ms=3, label=label, **style)
-        ax.set(title=name, xlabel="CPU time [ms]")
+        ax.set(title=name, xlabel="CPU time [ms]", xlim=(8, 250))
         ax.grid(alpha=0.3)
     axes[0].set_ylabel("error [m]")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=4)
