@@ -52,8 +52,7 @@ from slipfree import (
     settle,
 )
 from slipfree.atlas.atlas import SAME_REST, TILT, atlas
-from slipfree.core.outcome import Outcome
-from slipfree.core.trajectory import path_length
+from slipfree.core.trajectory import Outcome, path_length
 from slipfree.files.maps.elevation import jacksboro
 from slipfree.models.friction_feasibility import best_utilisation
 

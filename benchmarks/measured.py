@@ -39,8 +39,8 @@ from slipfree.fit.drive_fit import (
     rms,
 )
 from slipfree.fit.drives import DriveLog, Windows, held_for, windows_of, without_holds
+from slipfree.fit.estimate import BALANCE, Unknown
 from slipfree.fit.prediction import Lanes, Model, Predictor
-from slipfree.fit.unknowns import BALANCE, Unknown
 from slipfree.fit.wheel_soil import QUANTITIES, fit_soil, repeat_spread
 from slipfree.laws.soil import Soil, WheelSize, forces_at_slip, known_soil
 from slipfree.models.single_wheel import WheelRuns, motion_at_slip

@@ -10,7 +10,7 @@ from .core.dae import Dae as Dae
 from .core.errors import DataError as DataError
 from .core.errors import ModelError as ModelError
 from .core.errors import SlipfreeError as SlipfreeError
-from .core.outcome import Outcome as Outcome
+from .core.trajectory import Outcome as Outcome
 from .core.trajectory import SolverError as SolverError
 from .core.trajectory import Trajectory as Trajectory
 from .core.version import __version__ as __version__

@@ -30,7 +30,9 @@ import signal  # noqa: E402
 from slipfree.system.interrupt import interrupt_arrived, interrupt_at_signals, interrupted  # noqa: E402
 from slipfree.system.threads import single  # noqa: E402
 
-INTERRUPTED = 130  # exit code; equal to that of `slipfree.core.outcome`, whose import would be slow
+INTERRUPTED = (
+    130  # exit code; equal to that of `slipfree.core.trajectory`, whose import would be slow
+)
 
 
 def main() -> None:

@@ -215,7 +215,7 @@ def test_results_and_maps_draw_themselves(tmp_path, calls):
 
 
 def test_an_interrupted_front_keeps_its_first_plans(monkeypatch):
-    from slipfree.core.outcome import Outcome
+    from slipfree.core.trajectory import Outcome
     from slipfree.plan.pareto import FrontPoint
     from slipfree.problem import pareto
     from slipfree.problem.load import load_problem

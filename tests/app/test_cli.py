@@ -17,8 +17,7 @@ import slipfree
 from helpers.commands import invoke, refused, sets
 from helpers.problem_files import PROBLEM
 from slipfree.cli import app, console
-from slipfree.core.outcome import Outcome
-from slipfree.core.trajectory import SolverError, Stop
+from slipfree.core.trajectory import Outcome, SolverError, Stop
 from slipfree.files import netcdf
 from slipfree.system import threads
 

@@ -10,8 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.commands import invoke, refused, sets
-from slipfree.core.outcome import Outcome
-from slipfree.core.trajectory import SolverError, Stop
+from slipfree.core.trajectory import Outcome, SolverError, Stop
 from slipfree.files import netcdf
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import run_problem

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import Outcome
 from slipfree.files.netcdf import write
 from slipfree.plan import search as searching
 from slipfree.plan.ipopt import SOLVED_STATUS

@@ -16,13 +16,13 @@ from slipfree import open_result
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files import netcdf
-from slipfree.geometry.mesh import sheet
 from slipfree.problem.build_ground import build_ground
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import STORED, build, problem_of, run_problem
 from slipfree.problem.verbs.base import world_of
 from slipfree.show.meshes import reduced
 from slipfree.terrain.bicubic import Bicubic
+from slipfree.vehicle.sections import sheet
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 DRIVE = """

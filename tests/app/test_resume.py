@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from helpers.commands import invoke, refused, sets
 from slipfree.cli import app
 from slipfree.core.errors import DataError
-from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import Outcome
 from slipfree.files import netcdf
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem

@@ -9,8 +9,7 @@ import pytest
 
 from helpers.commands import invoke
 from helpers.problem_files import rough_ground
-from slipfree.core.outcome import Outcome
-from slipfree.core.trajectory import PLAN, Stop
+from slipfree.core.trajectory import PLAN, Outcome, Stop
 from slipfree.files.netcdf import read
 from slipfree.plan.plan import Plan
 from slipfree.problem.verbs import plan_search as module

@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from helpers.commands import invoke, pressing, sets
 from slipfree import Bicubic, direct_kinematics, settle
-from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import Outcome
 from slipfree.files import netcdf
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.inputs import recipe_of

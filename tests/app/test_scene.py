@@ -19,8 +19,7 @@ from helpers.commands import invoke, refused, sets, shown
 from helpers.figures import moved
 from helpers.problem_files import rough_ground
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.outcome import Outcome
-from slipfree.core.trajectory import Stop
+from slipfree.core.trajectory import Outcome, Stop
 from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip, part_poses, wheel_poses
 from slipfree.show import ground_drawing, motion_figures

@@ -30,7 +30,7 @@ from slipfree.files import netcdf
 from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import load_problem
 from slipfree.show import sweep_figures as show
-from slipfree.show.swept import Swept, Varied
+from slipfree.show.plots import Swept, Varied
 from slipfree.sweep import (
     Rows,
     RunRow,

@@ -7,8 +7,7 @@ import xarray
 
 from helpers.commands import refuses
 from slipfree import Bicubic, DataError, Grid, catalog, direct_kinematics
-from slipfree.atlas.atlas import Atlas, Band, atlas
-from slipfree.atlas.summary import SLIDES, UNDECIDED, verdicts
+from slipfree.atlas.atlas import SLIDES, UNDECIDED, Atlas, Band, atlas, verdicts
 from slipfree.core.records import Label
 from slipfree.files.atlas_files import Site, open_atlas, tiles_in, write_atlas, write_geotiff
 from slipfree.files.netcdf import MapCoordinate

@@ -17,9 +17,8 @@ from scipy.io import netcdf_file
 from helpers.commands import refuses
 from helpers.rasters import from_origin, geotiff
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
-from slipfree.core.trajectory import Column, Stop, Trajectory, thin
+from slipfree.core.trajectory import Column, Outcome, Stop, Trajectory, thin
 from slipfree.files import netcdf
 from slipfree.files.netcdf import export_path, export_rates, grid_mapping
 from slipfree.problem.load import load_problem

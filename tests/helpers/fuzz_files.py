@@ -20,9 +20,8 @@ from helpers.fuzz_damage import NUMBERS, ODD, WORDS, Case, damaged, grown, shuff
 from helpers.fuzz_libraries import LIBRARY_KINDS
 from helpers.fuzz_maps import archive, ascii_grid, beside, cloud, picture, points
 from helpers.fuzz_written import WRITTEN_KINDS
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
-from slipfree.core.trajectory import Column, Stop, Trajectory
+from slipfree.core.trajectory import Column, Outcome, Stop, Trajectory
 from slipfree.files import netcdf
 from slipfree.files.urdf.roles import UrdfTable
 from slipfree.files.vehicle_toml import AnyShapeTable, AnyWheelTable, VehicleTable

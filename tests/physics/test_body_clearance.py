@@ -25,7 +25,7 @@ from helpers.shaped import (
 )
 from slipfree.catalog import rigid_skid_steer, rocky7, skid_steer, three_wheeler
 from slipfree.contact.nearest_points import NearestPoints
-from slipfree.core.evaluation import evaluate
+from slipfree.core.lookups import evaluate
 from slipfree.core.records import leaves
 from slipfree.laws.soil import Soil
 from slipfree.plan.plan import plan

@@ -27,7 +27,7 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.control.path_following import follow, straight
-from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import Outcome
 from slipfree.geometry.path import Path
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.plan.plan import Plan, plan

@@ -9,9 +9,8 @@ from helpers.climb_drawn import drawn, drive, finite
 from helpers.commands import refuses
 from slipfree.catalog import AXLES, step_climber
 from slipfree.core.errors import ModelError
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
-from slipfree.core.trajectory import Column, Stop, Trajectory
+from slipfree.core.trajectory import Column, Outcome, Stop, Trajectory
 from slipfree.models.samples import obstacle_ending
 from slipfree.terrain.solids import Profile, Solid, flat, kerb, placed, ramp, stairs, step
 

@@ -38,7 +38,6 @@ from slipfree import (
     simulate,
 )
 from slipfree.core.records import Array
-from slipfree.fit.chassis import chassis_of, track, with_dimensions
 from slipfree.fit.drive_fit import (
     Fitted,
     WindowKind,
@@ -50,12 +49,18 @@ from slipfree.fit.drive_fit import (
     judge,
     manoeuvres_of,
 )
-from slipfree.fit.drives import DriveLog, age_of_poses, held_for, windows_of, without_holds
-from slipfree.fit.force_balance import Chassis, Constants, integrate
+from slipfree.fit.drives import DriveLog, Slopes, age_of_poses, held_for, windows_of, without_holds
+from slipfree.fit.estimate import Unknown
+from slipfree.fit.force_balance import (
+    Chassis,
+    Constants,
+    chassis_of,
+    integrate,
+    track,
+    with_dimensions,
+)
 from slipfree.fit.force_balance import simulate as simulate_lanes
-from slipfree.fit.ground_slope import Slopes
 from slipfree.fit.prediction import Predictor
-from slipfree.fit.unknowns import Unknown
 from slipfree.terrain.base import Grid
 from slipfree.vehicle.tree import body_inertia
 from slipfree.vehicle.wheel import wheel_inertia

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slipfree import ModelError, Soil
-from slipfree.fit.unknowns import Unknown
+from slipfree.fit.estimate import Unknown
 from slipfree.fit.wheel_soil import SoilProblem, fit_soil, repeat_spread
 from slipfree.laws.soil import WheelSize
 from slipfree.models.single_wheel import WheelRuns, motion_at_slip, single_wheel, steady_forces

@@ -13,8 +13,7 @@ from helpers.dynamics import FLAT, energy_error, four_wheels, moved
 from slipfree.contact import touch
 from slipfree.contact.touch import solid_touch
 from slipfree.core.lookups import LookupTable, lookup_function
-from slipfree.core.outcome import Outcome
-from slipfree.core.trajectory import Stop
+from slipfree.core.trajectory import Outcome, Stop
 from slipfree.geometry.frame import Pose
 from slipfree.models.samples import obstacle_ending
 from slipfree.terrain.solids import Prism, Solid, kerb, placed, ramp, stairs, step

@@ -29,8 +29,8 @@ from helpers.friction_cases import (
 )
 from helpers.vehicles import four_wheels
 from slipfree.catalog import rigid_skid_steer, three_wheeler
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import leaves
+from slipfree.core.trajectory import Outcome
 from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
 from slipfree.models import force_distribution
 from slipfree.models.force_distribution import least_utilisation

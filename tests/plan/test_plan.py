@@ -13,7 +13,7 @@ import slipfree as sf
 from helpers.cases import BOUNDED_RATES, hills, straight_on
 from helpers.commands import invoke, refuses, sets
 from slipfree.catalog import three_wheeler
-from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import Outcome
 from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip
 from slipfree.plan.pareto import FrontPoint, pareto_front

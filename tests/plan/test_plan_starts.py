@@ -14,8 +14,8 @@ from helpers.commands import refuses
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.core.dae import Limit
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
+from slipfree.core.trajectory import Outcome
 from slipfree.files import netcdf
 from slipfree.files.toml import ProblemError
 from slipfree.plan import plan as planning

@@ -17,11 +17,11 @@ from slipfree import Analytic, Bicubic, Grid, catalog, direct_kinematics, settle
 from slipfree.catalog import three_wheeler
 from slipfree.control.path_following import arc_inputs, turning_axis_offset
 from slipfree.core.errors import ModelError
-from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import Outcome
 from slipfree.geometry.regions import Region
+from slipfree.plan.guess import HEADINGS, reeds_shepp
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import run_problem
-from slipfree.routing.reeds_shepp import HEADINGS, reeds_shepp
 from slipfree.routing.search import route, unheld_words, unreachable
 from slipfree.routing.traversability import free_space
 from slipfree.solve.sampling import input_samples

@@ -20,8 +20,7 @@ from typer.testing import CliRunner
 from helpers.fuzz_files import bases, document, results
 from slipfree.cli import app
 from slipfree.core.errors import DataError
-from slipfree.core.outcome import Outcome
-from slipfree.core.trajectory import Trajectory
+from slipfree.core.trajectory import Outcome, Trajectory
 from slipfree.files import netcdf
 from slipfree.show.film import film_writer, write_film
 from slipfree.show.plots import Plot

@@ -16,12 +16,17 @@ from helpers.rounding import root
 from helpers.toy_models import model, toy
 from slipfree import plan as search
 from slipfree.catalog import three_wheeler
-from slipfree.core import outcome
 from slipfree.core.dae import Continuation, Dae, PiecewiseLinear
 from slipfree.core.errors import ModelError
 from slipfree.core.newton import solve_equations, solve_linear
 from slipfree.core.records import leaves
-from slipfree.core.trajectory import SolverError
+from slipfree.core.trajectory import (
+    IPOPT_STATUSES,
+    SUNDIALS_FLAGS,
+    SolverError,
+    ipopt_words,
+    sundials_words,
+)
 from slipfree.plan.mpc import first_cycle, horizon
 from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
 from slipfree.plan.verification import _compare
@@ -232,20 +237,20 @@ CASADI = "casadi/interfaces/sundials/idas_interface.cpp:620: IDASolve returned "
 
 
 def test_codes_are_printed_with_their_meaning() -> None:
-    assert all((outcome.IPOPT_STATUSES | outcome.SUNDIALS_FLAGS).values())
+    assert all((IPOPT_STATUSES | SUNDIALS_FLAGS).values())
     for flag, meaning in (
         ("IDA_ILL_INPUT", "an input of the integrator, such as an initial value, is invalid"),
         ("CV_CONV_FAILURE", "the equations of a step could not be solved"),
         ("IDA_UNHEARD_OF", "the integrator failed"),
     ):
         message = f'Error in Function::call\n{CASADI}"{flag}". Consult IDAS documentation.'
-        assert outcome.sundials_words(message) == f"{meaning} ({flag})"
-    assert outcome.sundials_words("a\ncasadi/core/function.cpp:12: it is wrong\n") == "it is wrong"
-    assert outcome.ipopt_words("Restoration_Failed") == (
+        assert sundials_words(message) == f"{meaning} ({flag})"
+    assert sundials_words("a\ncasadi/core/function.cpp:12: it is wrong\n") == "it is wrong"
+    assert ipopt_words("Restoration_Failed") == (
         "the search could not return to motions that meet the constraints "
         "(IPOPT: Restoration_Failed)"
     )
-    assert outcome.ipopt_words("Unheard_Of") == "the search failed (IPOPT: Unheard_Of)"
+    assert ipopt_words("Unheard_Of") == "the search failed (IPOPT: Unheard_Of)"
 
 
 def test_flags_that_casadi_raises_have_a_meaning() -> None:
@@ -255,7 +260,7 @@ def test_flags_that_casadi_raises_have_a_meaning() -> None:
         f = ca.integrator("f", method, {"x": x, "ode": -x}, 0.0, [9.0], options)
         with pytest.raises(RuntimeError) as error:
             f(x0=1.0)
-        words = outcome.sundials_words(str(error.value))
+        words = sundials_words(str(error.value))
         assert words.startswith("too many steps between two samples ("), words
         assert words.endswith("_TOO_MUCH_WORK)")
 
@@ -278,7 +283,7 @@ def test_a_fold_is_found_whatever_the_size_of_its_jump(size):
     start = sf.settle(dae, options=options, x0=-1.0)
     run = sf.simulate(dae, start, dae.inputs(drive=1.0), np.linspace(0, 2, 41), options=options)
     assert run.stop.name == "fold"
-    assert run.outcome is outcome.Outcome.NO_EQUILIBRIUM
+    assert run.outcome is sf.Outcome.NO_EQUILIBRIUM
     assert run.t[-1] == pytest.approx(5 / 3, abs=1e-3)
     assert run["square"][-1] == pytest.approx(-size, rel=0.05)
     assert f"only with a jump, for example of square from {-size:.1g}"[:-1] in run.stop.words

@@ -25,9 +25,8 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import LIMIT_ROUNDING, Limit, PiecewiseLinear
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label, symbols
-from slipfree.core.trajectory import joined
+from slipfree.core.trajectory import Outcome, joined
 from slipfree.solve import integrator
 from slipfree.solve import simulate as module
 from slipfree.solve.simulate import Event

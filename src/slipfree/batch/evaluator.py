@@ -19,8 +19,7 @@ import numpy as np
 
 from slipfree.batch.graph import Graph, Graphs, graphs_of
 from slipfree.core.dae import Dae
-from slipfree.core.evaluation import evaluate
-from slipfree.core.lookups import CellBounds, Cells
+from slipfree.core.lookups import CellBounds, Cells, evaluate
 from slipfree.core.records import Array
 from slipfree.system.codegen_cache import compiler, shared_library
 

@@ -17,8 +17,7 @@ import numpy as np
 
 from slipfree.core.dae import Continuation, Dae, PlacedCheck, WheelCheck
 from slipfree.core.errors import ModelError
-from slipfree.core.evaluation import dense, evaluate
-from slipfree.core.lookups import Lookup, found_column, needed_lookups
+from slipfree.core.lookups import Lookup, dense, evaluate, found_column, needed_lookups
 from slipfree.core.records import Array, leaves, pack
 
 SAMPLES = 13  # states at which pivots are chosen: one at rest, and pairs of opposite ones

@@ -27,10 +27,9 @@ from slipfree.batch.motion import (
 from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae, WheelCheck, invalid_start
 from slipfree.core.errors import ModelError, require
-from slipfree.core.evaluation import evaluate as evaluate_at
-from slipfree.core.outcome import Outcome
+from slipfree.core.lookups import evaluate as evaluate_at
 from slipfree.core.records import Array, Indices, Label, Mask, leaves
-from slipfree.core.trajectory import WHEELS, Column, Trajectory
+from slipfree.core.trajectory import WHEELS, Column, Outcome, Trajectory
 
 if TYPE_CHECKING:
     import xarray

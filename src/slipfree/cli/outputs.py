@@ -13,7 +13,7 @@ import typer
 
 from slipfree.cli import console
 from slipfree.core.errors import DataError, WriteError
-from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import Outcome
 from slipfree.system.interrupt import held_interrupt
 from slipfree.system.regular_files import check_ending, check_name, check_target, resolve_links
 

@@ -51,7 +51,7 @@ from slipfree.control.step_climbing import Commands, ControlState, Motors, PerAx
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Nlp
 from slipfree.core.errors import ModelError
-from slipfree.core.evaluation import evaluate
+from slipfree.core.lookups import evaluate
 from slipfree.core.records import Array
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.terrain.solids import Profile

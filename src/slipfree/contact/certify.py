@@ -24,8 +24,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.nearest_points import minima
-from slipfree.core.evaluation import evaluate
-from slipfree.core.lookups import CellBounds, lookup_function
+from slipfree.core.lookups import CellBounds, evaluate, lookup_function
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, Label, Mask, pack
 from slipfree.geometry.frame import Pose

@@ -38,8 +38,7 @@ import numpy as np
 
 from slipfree.contact.touch import Plane, jet_function, plane_of
 from slipfree.core.dae import Limit
-from slipfree.core.evaluation import evaluate
-from slipfree.core.lookups import LookupTable, lookup_function
+from slipfree.core.lookups import LookupTable, evaluate, lookup_function
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, Indices, Label, Mask
 from slipfree.geometry.frame import Pose, translation

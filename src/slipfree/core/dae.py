@@ -16,10 +16,9 @@ from slipfree.core import records
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, similar
 from slipfree.core.lookups import CellBounds, Lookup, lookup_function
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Indices, Label, Mask, Record, leaves
 from slipfree.core.schema import Finite
-from slipfree.core.trajectory import Trajectory
+from slipfree.core.trajectory import Outcome, Trajectory
 from slipfree.system.forks import cached_property
 
 if TYPE_CHECKING:

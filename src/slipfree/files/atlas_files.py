@@ -18,8 +18,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from slipfree.atlas.atlas import REASON, TILE, Atlas, Band, tiles_of
-from slipfree.atlas.summary import ELEVATION, LIMIT, Bounds, Verdicts, summary, verdicts
+from slipfree.atlas.atlas import (
+    ELEVATION,
+    LIMIT,
+    REASON,
+    TILE,
+    Atlas,
+    Band,
+    Bounds,
+    Verdicts,
+    summary,
+    tiles_of,
+    verdicts,
+)
 from slipfree.core.errors import DataError, WriteError
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import FRAME, Column, heading_column

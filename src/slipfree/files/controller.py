@@ -26,7 +26,7 @@ from slipfree.batch.many import stand, stand_checked, start_states
 from slipfree.batch.motion import COMPLETE
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError, read_table
-from slipfree.core.evaluation import dense, evaluate
+from slipfree.core.lookups import dense, evaluate
 from slipfree.core.newton import solve_equations
 from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import Frame, heading_column

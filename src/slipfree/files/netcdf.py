@@ -30,7 +30,6 @@ import scipy
 
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import decode
-from slipfree.core.outcome import Outcome
 from slipfree.core.quantities import QUANTITIES, quantity_label
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import (
@@ -42,6 +41,7 @@ from slipfree.core.trajectory import (
     TIME,
     WHEELS,
     Column,
+    Outcome,
     Stop,
     Trajectory,
 )

@@ -21,8 +21,9 @@ import numpy as np
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, Mask, Names
-from slipfree.fit.drives import DriveLog, Windows, age_of_poses, windows_of
+from slipfree.fit.drives import DriveLog, Slopes, Windows, age_of_poses, windows_of
 from slipfree.fit.estimate import (
+    BALANCE,
     MIN_ACCEPTED,
     NORMAL_MEDIAN,
     REWEIGHTINGS,
@@ -32,12 +33,12 @@ from slipfree.fit.estimate import (
     Priors,
     Residuals,
     Sought,
+    Unknown,
     bootstrap,
+    check_nominal,
     inner_bounds,
 )
-from slipfree.fit.ground_slope import Slopes
 from slipfree.fit.prediction import Model, Predictor, WindowErrors
-from slipfree.fit.unknowns import BALANCE, Unknown, check_nominal
 from slipfree.system.interrupt import interrupt_requested
 
 FIRST_DEVIATIONS = 0.25, 0.25, 0.15  # of errors before they are known [m, m, rad]

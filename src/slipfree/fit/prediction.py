@@ -11,10 +11,9 @@ import scipy  # its parts are imported when they are used, since this takes 0.3 
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, ComplexArray, Indices, Names
-from slipfree.fit.drives import SLOW, DriveLog, Windows, chord, chord_line, courses
+from slipfree.fit.drives import SLOW, DriveLog, Slopes, Windows, chord, chord_line, courses
+from slipfree.fit.estimate import BALANCE, Unknown
 from slipfree.fit.force_balance import Chassis, Constants, integrate, simulate
-from slipfree.fit.ground_slope import Slopes
-from slipfree.fit.unknowns import BALANCE, Unknown
 
 HISTORY = 10.0  # time of simulation before the start of a window, for friction as of ice [s]
 RECENT = 1.0  # time of it with short steps [s]

@@ -28,10 +28,13 @@ from slipfree.fit.estimate import (
     Priors,
     Residuals,
     Sought,
+    Unknown,
     bootstrap,
+    check_nominal,
     inner_bounds,
+    law_constants,
+    law_limits,
 )
-from slipfree.fit.unknowns import Unknown, check_nominal, law_constants, law_limits
 from slipfree.laws.soil import STEADY_CREEP, Soil, WheelSize, forces_at_speeds
 from slipfree.models.single_wheel import WheelRuns
 from slipfree.system.interrupt import interrupt_requested

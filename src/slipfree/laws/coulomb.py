@@ -18,9 +18,9 @@ from annotated_types import Ge, Gt, Le, Lt, Unit
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Continuation, Limit
 from slipfree.core.errors import ModelError
-from slipfree.core.outcome import Outcome
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Label
+from slipfree.core.trajectory import Outcome
 from slipfree.laws.protocols import (
     Equations,
     Reaction,

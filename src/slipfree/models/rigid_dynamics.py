@@ -41,9 +41,8 @@ from slipfree.contact.touch import Touch
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Replay
 from slipfree.core.errors import ModelError
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Label, leaves, symbols
-from slipfree.core.trajectory import Column, Trajectory
+from slipfree.core.trajectory import Column, Outcome, Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import Equations, GroundForce, GroundLaw, SlidingContacts, wheel_limits

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from slipfree.core.outcome import Outcome, ipopt_words
 from slipfree.core.records import Array, Label
+from slipfree.core.trajectory import Outcome, ipopt_words
 from slipfree.plan.constraints import (
     DURATION,
     EQUATION,

@@ -10,9 +10,8 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.dae import Nlp
-from slipfree.core.outcome import FUTILE_STATUS, ipopt_words
 from slipfree.core.records import Array, with_overview
-from slipfree.core.trajectory import SolverError
+from slipfree.core.trajectory import FUTILE_STATUS, SolverError, ipopt_words
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.transcription import Program, completed
 from slipfree.system.interrupt import InterruptGuard, with_interrupt_guard

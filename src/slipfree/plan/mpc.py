@@ -19,11 +19,10 @@ import numpy as np
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
-from slipfree.core.evaluation import evaluate, run_buffered
-from slipfree.core.outcome import ipopt_words
+from slipfree.core.lookups import evaluate, run_buffered
 from slipfree.core.records import Array, Record, field_overview, with_overview
 from slipfree.core.schema import Finite
-from slipfree.core.trajectory import SolverError, Trajectory
+from slipfree.core.trajectory import SolverError, Trajectory, ipopt_words
 from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import (

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.core.errors import ModelError
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import with_overview
+from slipfree.core.trajectory import Outcome
 
 SLACK = 0.01  # relative distance of the smallest bound from the least second objective
 MARGIN = 1e-3  # smallest relative gain of a point that dominates another

@@ -17,10 +17,17 @@ import numpy as np
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record, overview
 from slipfree.core.schema import NonNegative, Positive
-from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Drawable, Stop, Trajectory, path_length
+from slipfree.core.trajectory import (
+    PLAN,
+    PLAN_UNVERIFIED,
+    Drawable,
+    Outcome,
+    Stop,
+    Trajectory,
+    path_length,
+)
 from slipfree.plan.explanation import explanation
 from slipfree.plan.guess import initial_guess
 from slipfree.plan.ipopt import STOPPED_STATUS, TIME_STATUS, NlpSolution

@@ -18,8 +18,7 @@ from annotated_types import Ge, Gt, Le, Unit, doc
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
-from slipfree.core.evaluation import evaluate
-from slipfree.core.lookups import found_column, needed_lookups, substitute_lookups
+from slipfree.core.lookups import evaluate, found_column, needed_lookups, substitute_lookups
 from slipfree.core.records import Array, Label, Mask, field_overview, leaves
 from slipfree.plan.sparse_assembly import Index as Index
 from slipfree.plan.sparse_assembly import NlpBlock, assemble, nlp_block

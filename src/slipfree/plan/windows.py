@@ -18,9 +18,8 @@ import numpy as np
 
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Label, with_overview
-from slipfree.core.trajectory import PLAN, Stop, Trajectory, joined
+from slipfree.core.trajectory import PLAN, Outcome, Stop, Trajectory, joined
 from slipfree.geometry.path import Path
 from slipfree.plan.ipopt import seconds_left
 from slipfree.plan.plan import Plan, SimulatedPlan, solve_task

@@ -35,7 +35,6 @@ from slipfree.files.vehicle_toml import (
     read_toml,
     validated,
 )
-from slipfree.geometry.mesh import TriangleMesh
 from slipfree.problem import schema
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, shared
@@ -43,6 +42,7 @@ from slipfree.problem.schema import CATALOG
 from slipfree.show.meshes import joined
 from slipfree.system.regular_files import read_bytes, regular_file
 from slipfree.vehicle.gravity import in_gravity
+from slipfree.vehicle.sections import TriangleMesh
 from slipfree.vehicle.tree import Vehicle, actuated
 
 # values of arguments of xacro that cannot contain programs or names of files in other folders

@@ -13,8 +13,7 @@ import numpy as np
 
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Lines, TableColumn, table
-from slipfree.core.outcome import Outcome
-from slipfree.core.trajectory import SolverError, outcome_words
+from slipfree.core.trajectory import Outcome, SolverError, outcome_words
 from slipfree.files.netcdf import write
 from slipfree.files.toml import Fault
 from slipfree.plan.constraints import unit_words

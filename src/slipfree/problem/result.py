@@ -17,15 +17,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.core.facts import Fact, Lines, lines
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
-from slipfree.core.trajectory import Stop, Trajectory, thin
+from slipfree.core.trajectory import Outcome, Stop, Trajectory, thin
 from slipfree.files.controller import ControllerCode, export_controller
 from slipfree.files.netcdf import MapCoordinate, check_motion, check_name, read, read_arrays
 from slipfree.files.toml import ProblemError
 from slipfree.files.urdf.links import Robot
 from slipfree.files.vehicle_toml import file_of, read_toml, vehicle_text
-from slipfree.geometry.mesh import TriangleMesh
 from slipfree.models.given_rates import COMMANDS, ROBOT
 from slipfree.models.montana import Difference
 from slipfree.plan.polynomial_motion import SavedPlan
@@ -44,6 +42,7 @@ from slipfree.system.forks import computing
 from slipfree.system.regular_files import escape_name, unescape_name
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import cut
+from slipfree.vehicle.sections import TriangleMesh
 
 
 @computing

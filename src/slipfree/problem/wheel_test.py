@@ -16,12 +16,12 @@ from pydantic import Field
 
 from slipfree.core.errors import DataError
 from slipfree.core.facts import Lines
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
+from slipfree.core.trajectory import Outcome
 from slipfree.files import toml
 from slipfree.files.tables import read_columns, read_names
 from slipfree.files.vehicle_toml import toml_value
-from slipfree.fit.unknowns import Unknown, law_constants
+from slipfree.fit.estimate import Unknown, law_constants
 from slipfree.fit.wheel_soil import QUANTITIES, SoilFit, check_constant, fit_soil
 from slipfree.laws.soil import Soil, WheelSize
 from slipfree.models.single_wheel import (

@@ -19,8 +19,7 @@ from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from slipfree.atlas.atlas import Atlas, Band
-from slipfree.atlas.summary import ALLOWED, LIMIT, STANDING
+from slipfree.atlas.atlas import ALLOWED, LIMIT, STANDING, Atlas, Band
 from slipfree.core.records import Array
 from slipfree.files.atlas_files import Site
 from slipfree.show import style

@@ -12,9 +12,8 @@ import numpy.typing as npt
 import scipy  # scipy.spatial and scipy.interpolate are imported when they are used
 
 from slipfree.core.records import Array
-from slipfree.geometry.mesh import TriangleMesh, sheet
 from slipfree.terrain.base import Grid, Terrain
-from slipfree.vehicle.sections import Sphere
+from slipfree.vehicle.sections import Sphere, TriangleMesh, sheet
 from slipfree.vehicle.shapes import Ball, BodyShape
 
 ROD = 8  # faces around a rod

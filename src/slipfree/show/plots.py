@@ -18,6 +18,7 @@ from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 
 from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.show import style
 from slipfree.show.style import COLUMN, DPI, MM, PAGE, STYLE
@@ -113,3 +114,28 @@ def _save_figure(plot: Plot, folder: Path, formats: Sequence[str]) -> list[Path]
             more: dict[str, Any] = {"pil_kwargs": COMPRESSION} if file.suffix == ".png" else {}
             replace_file(file, partial(figure.savefig, dpi=DPI, **more))
     return files
+
+
+class Varied(NamedTuple):
+    """Key that a sweep varies, with its values."""
+
+    name: str  # dotted name
+    values: tuple[str, ...]  # as TOML text, or words without quotes
+    unit: str = ""  # of the values, as in ``m s-1``; empty if unknown
+
+    @property
+    def numbers(self) -> tuple[float, ...] | None:
+        """The values as numbers; None if one of them is not a number."""
+        try:
+            return tuple(map(float, self.values))
+        except ValueError:
+            return None
+
+
+class Swept(NamedTuple):
+    """A metric over the varied keys."""
+
+    name: str
+    unit: str  # as in ``m s-1``; empty if unknown
+    axes: tuple[Varied, ...]
+    values: Array  # one dimension per axis, and one for repetitions; NaN without a value

@@ -22,7 +22,6 @@ from slipfree.core.facts import SCALES
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory, stop_words
 from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
-from slipfree.geometry.mesh import TriangleMesh
 from slipfree.geometry.regions import Region
 from slipfree.models.samples import CLOSEST, FramePoses, has_friction, part_poses, wheel_poses
 from slipfree.routing.traversability import extents, nodes_at, traversability
@@ -44,6 +43,7 @@ from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import cut
 from slipfree.terrain.solids import Prism
+from slipfree.vehicle.sections import TriangleMesh
 from slipfree.vehicle.tree import Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 

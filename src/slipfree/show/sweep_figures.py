@@ -22,9 +22,8 @@ from slipfree.core.records import Array
 from slipfree.models.single_wheel import WheelCurves
 from slipfree.plan.pareto import FrontPoint
 from slipfree.show import style
-from slipfree.show.plots import Panel, Plot, save, stack
+from slipfree.show.plots import Panel, Plot, Swept, Varied, save, stack
 from slipfree.show.style import COLUMN, MM, PALETTE, STOPPED
-from slipfree.show.swept import Swept, Varied
 
 COLOURS = "viridis"
 NOTHING = "0.85"  # colour of cells without a run

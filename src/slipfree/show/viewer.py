@@ -14,12 +14,12 @@ import numpy as np
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
-from slipfree.geometry.mesh import TriangleMesh, sheet
 from slipfree.show.html_page import with_legend
 from slipfree.show.local_server import HOST, Content, Gate, start_server
 from slipfree.show.meshes import joined
 from slipfree.show.scene import ARROWS, WORLD, Colors, Scene
 from slipfree.system.interrupt import interrupt_arrived
+from slipfree.vehicle.sections import TriangleMesh, sheet
 
 if TYPE_CHECKING:
     import viser

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from slipfree.core.errors import ModelError
-from slipfree.core.evaluation import dense, evaluate
 from slipfree.core.facts import Fact
+from slipfree.core.lookups import dense, evaluate
 from slipfree.core.newton import ROUNDING, solve_equations, solve_linear
 from slipfree.core.records import Array, leaves
 from slipfree.solve.system import Block, System

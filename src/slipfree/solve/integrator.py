@@ -14,10 +14,9 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.errors import ModelError
-from slipfree.core.evaluation import evaluate, run_buffered
-from slipfree.core.outcome import NO_START, sundials_words
+from slipfree.core.lookups import evaluate, run_buffered
 from slipfree.core.records import Array
-from slipfree.core.trajectory import SolverError
+from slipfree.core.trajectory import NO_START, SolverError, sundials_words
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import Method
 from slipfree.solve.sampling import Samples, integrate_samples, join_samples

@@ -11,7 +11,7 @@ import numpy as np
 
 from slipfree.core.dae import Dae, Limit, SampledCheck
 from slipfree.core.errors import ModelError
-from slipfree.core.evaluation import dense, evaluate
+from slipfree.core.lookups import dense, evaluate
 from slipfree.core.newton import solve_linear
 from slipfree.core.quantities import QUANTITIES, quantity_label
 from slipfree.core.records import Array, Label, Mask, leaves

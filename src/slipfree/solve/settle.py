@@ -15,7 +15,7 @@ from slipfree.batch.many import Placement, find_rests, obstacles, wheel_checks
 from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
-from slipfree.core.evaluation import evaluate
+from slipfree.core.lookups import evaluate
 from slipfree.core.newton import solve_linear
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import SolverError, Trajectory

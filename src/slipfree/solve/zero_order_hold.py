@@ -11,10 +11,9 @@ import numpy as np
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
-from slipfree.core.evaluation import run_buffered
-from slipfree.core.outcome import Outcome, sundials_words
+from slipfree.core.lookups import run_buffered
 from slipfree.core.records import Array, Record, leaves, unpack
-from slipfree.core.trajectory import SolverError, Stop, Trajectory
+from slipfree.core.trajectory import Outcome, SolverError, Stop, Trajectory, sundials_words
 from slipfree.solve.integrator import COUNTS, Progress, sundials_options, suppress_messages
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, to_trajectory

@@ -35,7 +35,7 @@ from slipfree.problem.build import unit_of
 from slipfree.problem.load import load_again, verb_of
 from slipfree.problem.problem import Problem, Shared, sharing
 from slipfree.problem.result import run_problem
-from slipfree.show.swept import Swept, Varied
+from slipfree.show.plots import Swept, Varied
 from slipfree.system.parts import Identity, Parts, PartsWatch, Workers, study
 from slipfree.system.processes import Processes
 

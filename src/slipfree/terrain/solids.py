@@ -19,7 +19,7 @@ from annotated_types import Ge, Gt, Le, Unit, doc
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
-from slipfree.core.evaluation import evaluate
+from slipfree.core.lookups import evaluate
 from slipfree.core.records import Array
 from slipfree.core.schema import Finite, Length
 from slipfree.system.forks import cached_property

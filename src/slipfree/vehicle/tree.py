@@ -282,7 +282,7 @@ class Vehicle(HtmlRepr, VehicleParts):
         Whether the platform moves only in a vertical plane, see `planar`.
     nominal : Vehicle or None
         The same vehicle with numbers, if lengths or grips of this one are expressions in parameters
-        of a model (`slipfree.fit.unknowns`); models take scales and initial guesses from it.
+        of a model (`slipfree.fit.estimate`); models take scales and initial guesses from it.
     gravity : float
         Gravitational acceleration, downward, that acts on the vehicle and on the soil under it;
         `slipfree.in_gravity` changes it. [m/s^2]

@@ -25,9 +25,9 @@ from slipfree.files.foreign_formats import check_contents
 from slipfree.files.urdf.tree import Geometry, MeshFile, Shape, Tree, UrdfJoint
 from slipfree.files.urdf.xacro import package_folders
 from slipfree.files.vehicle_toml import MAX_LENGTH, placed, rotation_of, vector_of
-from slipfree.geometry.mesh import TriangleMesh
 from slipfree.system.processes import ProcessDiedError, bounded_call, bounded_read
 from slipfree.system.regular_files import read_bytes
+from slipfree.vehicle.sections import TriangleMesh
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".glb")

@@ -20,10 +20,16 @@ from typing_extensions import TypeVar
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.errors import DataError
 from slipfree.core.facts import Fact, Facts, Lines, Row, lines, rows
-from slipfree.core.outcome import Outcome
 from slipfree.core.quantities import QUANTITIES, extremes, joint_angles
 from slipfree.core.records import Array, leaves
-from slipfree.core.trajectory import SolverError, Stop, Trajectory, outcome_words, path_length
+from slipfree.core.trajectory import (
+    Outcome,
+    SolverError,
+    Stop,
+    Trajectory,
+    outcome_words,
+    path_length,
+)
 from slipfree.files.netcdf import MAP_TRANSFORM, NOTHING
 from slipfree.laws.soil import Soil
 from slipfree.models.base import is_determinate

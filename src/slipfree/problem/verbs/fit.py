@@ -17,9 +17,8 @@ from pydantic import Field
 from slipfree.catalog import rigid_skid_steer
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Lines
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, ComplexArray, Indices, Mask
-from slipfree.core.trajectory import Frame
+from slipfree.core.trajectory import Frame, Outcome
 from slipfree.core.version import __version__
 from slipfree.files.logs import (
     OF_POSES,
@@ -34,7 +33,6 @@ from slipfree.files.logs import (
 from slipfree.files.netcdf import FIT, ORIGIN, open_netcdf
 from slipfree.files.tables import ALIASES, PARTS, read_names, split_unit
 from slipfree.files.toml import Angle, Pair, Positive, Quantity, Record, given_values, name_errors
-from slipfree.fit.chassis import chassis_of, track, with_dimensions
 from slipfree.fit.drive_fit import (
     BLOCKS,
     DriveFit,
@@ -50,11 +48,10 @@ from slipfree.fit.drive_fit import (
     score_kinds,
     sought_of,
 )
-from slipfree.fit.drives import DriveLog, by_runs, conditions, held_for, without_holds
-from slipfree.fit.estimate import WEAK, Estimate
-from slipfree.fit.ground_slope import Slopes
+from slipfree.fit.drives import DriveLog, Slopes, by_runs, conditions, held_for, without_holds
+from slipfree.fit.estimate import BALANCE, WEAK, Estimate, Unknown
+from slipfree.fit.force_balance import chassis_of, track, with_dimensions
 from slipfree.fit.prediction import Model
-from slipfree.fit.unknowns import BALANCE, Unknown
 from slipfree.problem.build import moves_sideways
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_vehicle import build_vehicle

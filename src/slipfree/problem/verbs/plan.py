@@ -17,9 +17,8 @@ from slipfree.core import trajectory
 from slipfree.core.dae import Dae, PiecewiseLinear
 from slipfree.core.errors import SlipfreeError
 from slipfree.core.facts import Fact, Facts, rows, starting_with
-from slipfree.core.outcome import Outcome, ipopt_words
 from slipfree.core.records import Array, leaves
-from slipfree.core.trajectory import Trajectory
+from slipfree.core.trajectory import Outcome, Trajectory, ipopt_words
 from slipfree.geometry.path import Path
 from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics

@@ -15,9 +15,8 @@ from slipfree.climb.contact_path import COSTS
 from slipfree.control.step_climbing import climbing
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import Fact
-from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
-from slipfree.core.trajectory import PLAN_ACCURACY, SolverError, Stop, Trajectory
+from slipfree.core.trajectory import PLAN_ACCURACY, Outcome, SolverError, Stop, Trajectory
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml import Fault, problem_error
 from slipfree.plan.constraints import missed_words

@@ -26,8 +26,7 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError, SlipfreeError
 from slipfree.core.facts import SCALES, Fact, Facts
 from slipfree.core.interval import Intervals, evaluate_interval
-from slipfree.core.outcome import Outcome
-from slipfree.core.trajectory import PLAN, PLAN_SHARE, Stop, Trajectory
+from slipfree.core.trajectory import PLAN, PLAN_SHARE, Outcome, Stop, Trajectory
 from slipfree.enclosure.guarantee import TIP_OVER, guarantee
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.limits import UPRIGHT

@@ -14,11 +14,10 @@ import numpy as np
 from slipfree.control.path_following import commanded
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Fact, TableColumn, table
-from slipfree.core.outcome import Outcome
 from slipfree.core.rearrange import substitute
 from slipfree.core.records import leaves
 from slipfree.core.schema import Length
-from slipfree.core.trajectory import SolverError, Trajectory, path_length
+from slipfree.core.trajectory import Outcome, SolverError, Trajectory, path_length
 from slipfree.files.netcdf import read, read_arrays, write
 from slipfree.plan import tracking
 from slipfree.plan.mpc import horizon
