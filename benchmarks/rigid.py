@@ -28,7 +28,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.models.kinematics import SMOOTHING, pressed_dae
-from slipfree.solve.options import SolverOptions
+from slipfree.solve.system import SolverOptions
 
 ROBOTS = {
     "rigid four wheels": catalog.rigid_skid_steer(),

@@ -13,12 +13,11 @@ from typing import Any, Literal, get_args, get_origin
 
 from slipfree.core.quantities import QUANTITIES
 from slipfree.files.toml import Record
-from slipfree.laws.registry import SLIP_LAWS
 from slipfree.models.given_rates import LEAST_MARGIN
 from slipfree.models.single_wheel import SLIP_LIMIT
 from slipfree.problem import schema
 from slipfree.problem.load import VERBS
-from slipfree.problem.schema import law_tables
+from slipfree.problem.schema import SLIP_LAWS, law_tables
 from slipfree.solve.sampling import STRIDE
 
 DOCS = Path(__file__).parent

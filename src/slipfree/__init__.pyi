@@ -44,10 +44,10 @@ from .problem.result import open_result as open_result
 from .problem.result import run_problem as run_problem
 from .routing.search import Route as Route
 from .show.motion_figures import plot as plot
-from .solve.options import SolverOptions as SolverOptions
 from .solve.rollouts import rollouts as rollouts
 from .solve.settle import settle as settle
 from .solve.simulate import simulate as simulate
+from .solve.system import SolverOptions as SolverOptions
 from .terrain.analytic import Analytic as Analytic
 from .terrain.base import Grid as Grid
 from .terrain.bicubic import Bicubic as Bicubic

@@ -21,7 +21,7 @@ from slipfree.atlas import atlas as core
 from slipfree.files.atlas_files import open_atlas
 from slipfree.problem import atlas_tiles, build_ground
 from slipfree.system import dask_pool
-from slipfree.terrain import paged
+from slipfree.terrain import bicubic
 
 INTERPRETED = sets("atlas.compiled=false")
 ATLAS = "site_three_wheeler_atlas.tif"
@@ -245,7 +245,7 @@ def test_windows_of_a_large_map_give_the_same(monkeypatch):
     words = *words, *sets("terrain.scale=0.7", "terrain.window=[3.5e5, 3.51e5, 3e6, 4e6]")
     printed(*words, "-o", "whole.nc")
     monkeypatch.setattr(build_ground, "LARGE", 100)
-    monkeypatch.setattr(paged, "SPAN", 44)
+    monkeypatch.setattr(bicubic, "SPAN", 44)
     assert "15 of 9600 nodes have no height" in printed(*words, "-o", "parts.nc", "-v")
     (whole, ground), (parts, other) = map(open_atlas, ("whole.nc", "parts.nc"))
     assert whole.reasons == parts.reasons

@@ -1,7 +1,7 @@
 """Add a slip law, a wheel-ground law: one file and one line of registration each.
 
 The class `WeightedSlip` below is the file ``laws/weighted.py`` (14 lines without docstrings and
-imports), and ``"weighted": WeightedSlip`` the line of ``SLIP_LAWS`` in ``laws/registry.py``;
+imports), and ``"weighted": WeightedSlip`` the line of ``SLIP_LAWS`` in ``problem/schema.py``;
 `Viscous` with its record is ``laws/viscous.py`` (19 lines), and ``"viscous": Viscous`` the line of
 ``GROUND_LAWS``. Nothing else of the package knows them: problem files, commands, results and both
 formulations of the contact take them as they are.
@@ -23,7 +23,7 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
 from slipfree.laws import protocols
 from slipfree.laws.least_slip import LeastSlip, Multipliers, stationarity
-from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
+from slipfree.problem.schema import GROUND_LAWS, SLIP_LAWS
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 

@@ -12,8 +12,7 @@ from slipfree.catalog import step_climber
 from slipfree.control.step_climbing import Law, StepClimbing, held_torques, largest_period
 from slipfree.core.trajectory import Trajectory
 from slipfree.solve.settle import settle
-from slipfree.solve.simulate import simulate
-from slipfree.solve.zero_order_hold import simulate_sampled
+from slipfree.solve.simulate import simulate, simulate_sampled
 from slipfree.terrain.solids import Profile, kerb, ramp, stairs, step
 from slipfree.vehicle.sections import Disc
 from slipfree.vehicle.tree import Body, Vehicle

@@ -21,8 +21,8 @@ import slipfree as sf
 from helpers.vehicles import four_wheels, skid_steered
 from slipfree.catalog import three_wheeler
 from slipfree.core.records import leaves
-from slipfree.laws.registry import SLIP_LAWS
 from slipfree.models.montana import montana_kinematics
+from slipfree.problem.schema import SLIP_LAWS
 from slipfree.terrain.rolled import rolled
 from slipfree.terrain.synthetic import blank, craters, power_law, ramp, rocks
 from slipfree.vehicle.sections import Torus

@@ -54,8 +54,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import Label, pack
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.solve.settle import settle
-from slipfree.solve.simulate import simulate
-from slipfree.solve.zero_order_hold import simulate_sampled
+from slipfree.solve.simulate import simulate, simulate_sampled
 from slipfree.terrain.solids import flat, kerb, stairs
 
 ALPHA, TH_A, TH_B = np.radians([45, 12, 7])

@@ -16,9 +16,9 @@ from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.kinematics import SMOOTHING, pressed_dae
 from slipfree.models.montana import montana_kinematics
 from slipfree.models.samples import lightest_wheel, rocks
-from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import round_trip
 from slipfree.solve.settle import stable_poses
+from slipfree.solve.system import SolverOptions
 
 ROBOT = sf.catalog.rigid_skid_steer()
 RADIUS, WHEELBASE, HALF_TRACK = 0.165, 0.51, 0.285

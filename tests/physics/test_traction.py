@@ -31,12 +31,12 @@ from helpers.vehicles import four_wheels
 from slipfree.catalog import rigid_skid_steer, three_wheeler
 from slipfree.core.records import leaves
 from slipfree.core.trajectory import Outcome
-from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
 from slipfree.models import force_distribution
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.kinematics import contact_labels
 from slipfree.models.montana import montana_kinematics
+from slipfree.problem.schema import GROUND_LAWS, SLIP_LAWS
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.tree import Body
 

@@ -38,7 +38,7 @@ from slipfree.plan.verification import simulate_plan
 from slipfree.problem.verbs import base as runner
 from slipfree.problem.verbs import compare
 from slipfree.problem.verbs import plan as plan_verb
-from slipfree.solve import integrator, simulate, zero_order_hold
+from slipfree.solve import integrator, simulate
 from slipfree.system import codegen_cache, interrupt
 
 pytestmark = pytest.mark.slow
@@ -223,10 +223,10 @@ def test_between_the_samples_of_a_controller(monkeypatch):
         yield
         raise RuntimeError("CV_RHSFUNC_FAIL")
 
-    monkeypatch.setattr(zero_order_hold, "suppress_messages", swallowing)
+    monkeypatch.setattr(simulate, "suppress_messages", swallowing)
     dae = model(lambda _t, _x, u: u)
     with pytest.raises(KeyboardInterrupt):
-        zero_order_hold.simulate_sampled(dae, settle(dae, x=1.0), dae.inputs(push=1.0), T)
+        simulate.simulate_sampled(dae, settle(dae, x=1.0), dae.inputs(push=1.0), T)
     assert len(calls) == 1
 
 
@@ -398,7 +398,7 @@ RUNS = {  # function, its call, words of the command, what is told, and the kept
     "kinematics": ((integrator._Relay, "eval_buffer", 5), GRIP, SO_FAR, "interrupted"),
     "kinematics, twice": ((integrator._Relay, "eval_buffer", 1, 2), GRIP[:1], "interrupted\n", OLD),
     "dynamics": ((integrator._Relay, "eval_buffer", 100), INERT, SO_FAR, "interrupted"),
-    "sampled": ((zero_order_hold, "run_buffered", 61), HELD, SO_FAR, "interrupted"),
+    "sampled": ((simulate, "run_buffered", 61), HELD, SO_FAR, "interrupted"),
     "plan that is compiled": ((search, "transcribe"), PLAN, "interrupted\n", OLD),
     "plan behind its first iteration": ((ipopt, "largest_violation", 2), PLAN, RESUME, "plan"),
 }

@@ -32,7 +32,7 @@ from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
 from slipfree.plan.verification import _compare
 from slipfree.solve.integrator import STALLED_STEPS, StepObserver
 from slipfree.solve.sampling import periodic_states, same_turn
-from slipfree.solve.zero_order_hold import simulate_sampled
+from slipfree.solve.simulate import simulate_sampled
 from slipfree.system.interrupt import InterruptGuard
 
 

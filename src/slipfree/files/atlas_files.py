@@ -37,7 +37,7 @@ from slipfree.core.trajectory import FRAME, Column, heading_column
 from slipfree.core.version import __version__
 from slipfree.files import netcdf
 from slipfree.system.regular_files import replacing
-from slipfree.terrain.paged import Elevation
+from slipfree.terrain.bicubic import Elevation
 
 MAX_BYTES = 2**32 - 4  # of a variable of netCDF-3
 CACHE = 64  # GDAL's cache of blocks [MB]; fixed, so that files do not depend on the machine

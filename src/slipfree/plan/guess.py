@@ -38,9 +38,9 @@ from slipfree.plan.transcription import SAMPLE_STEP, PlanTask
 from slipfree.plan.verification import GUESS_TOLERANCE, simulate_to_failure
 from slipfree.routing.search import path_cost, route, routes
 from slipfree.routing.traversability import Traversability, traversability
-from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import input_samples
 from slipfree.solve.settle import settle
+from slipfree.solve.system import SolverOptions
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
 

@@ -65,7 +65,7 @@ from slipfree.plan.search import (
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, Mesh, PlanTask, Program
 from slipfree.plan.verification import Verification, inputs_along, verify_plan
-from slipfree.solve.options import SolverOptions
+from slipfree.solve.system import SolverOptions
 from slipfree.system.forks import cached_property, computing
 from slipfree.system.interrupt import with_interrupt_guard
 

@@ -46,7 +46,7 @@ from slipfree.plan.verification import (
     refine_mesh,
     simulate_to_failure,
 )
-from slipfree.solve.options import SolverOptions
+from slipfree.solve.system import SolverOptions
 
 PERTURBATION = 0.3  # standard deviation of a perturbation, relative to the rms of the input
 MODES = 4  # number of cosines in a perturbation

@@ -27,8 +27,8 @@ from slipfree.plan.mpc import Cycle, Horizon, cycle_inputs, first_cycle, replan
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.sampling import SampledPlan, SamplingTask, sample_plan
 from slipfree.plan.verification import simulate_to_failure
-from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import interrupted_at
+from slipfree.solve.system import SolverOptions
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import interrupt_requested
 

@@ -23,8 +23,7 @@ from slipfree.core.records import Array, Label, Mask, field_overview, leaves
 from slipfree.plan.sparse_assembly import Index as Index
 from slipfree.plan.sparse_assembly import NlpBlock, assemble, nlp_block
 from slipfree.plan.stage import Cost, StageFunctions, stage_functions
-from slipfree.solve.options import SolverOptions
-from slipfree.solve.system import with_inputs
+from slipfree.solve.system import SolverOptions, with_inputs
 
 SAMPLE_STEP = 0.25  # largest time between samples of the simulation [s]
 

@@ -24,9 +24,9 @@ from slipfree.plan.constraints import (
 )
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
-from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 from slipfree.solve.sampling import TURN, same_turn
 from slipfree.solve.simulate import simulate
+from slipfree.solve.system import MIN_TOLERANCE, SolverOptions
 
 GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 LIMIT_WIDTH_FRACTION = 0.01  # largest tolerance of a limit, relative to its range

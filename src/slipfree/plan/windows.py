@@ -35,7 +35,7 @@ from slipfree.plan.polynomial_motion import (
 from slipfree.plan.search import PlanProgress, Search, SolvedStage, cost_terms
 from slipfree.plan.transcription import Mesh, PlanTask, TimedCondition, transcribe
 from slipfree.plan.verification import GUESS_TOLERANCE, simulate_plan, simulate_to_failure
-from slipfree.solve.options import SolverOptions
+from slipfree.solve.system import SolverOptions
 from slipfree.system.forks import computing
 
 WINDOW_POINTS = 400  # points of the route in a guess

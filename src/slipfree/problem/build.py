@@ -24,15 +24,14 @@ from slipfree.files.tables import read_columns
 from slipfree.files.toml import Fault, key_path, name_errors, unit_faults
 from slipfree.files.toml import Place as KeyPath
 from slipfree.geometry.path import Path
-from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, check_rollers, direct_kinematics, quasi_statics
 from slipfree.problem import schema
 from slipfree.problem.build_ground import GroundMap, at, build_ground, ground_facts
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
 from slipfree.problem.problem import Problem, S, shared
-from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
+from slipfree.solve.system import SolverOptions
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism, Profile, Solid, Solids, flat, placed, section_of
@@ -42,9 +41,9 @@ from slipfree.vehicle.tree import Vehicle
 DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are less smooth
 EVEN = 1e-6  # smaller relative differences of periods count as zero
 LAWS: dict[str, Mapping[str, Callable[..., Any]]] = {
-    "kinematics": SLIP_LAWS,
-    "quasi-static": GROUND_LAWS,
-    "dynamics": CONTACT_LAWS,
+    "kinematics": schema.SLIP_LAWS,
+    "quasi-static": schema.GROUND_LAWS,
+    "dynamics": schema.CONTACT_LAWS,
 }  # laws of each model; the first is the default
 MAKERS = {"soil": schema.soil_of}  # functions that make a law from a table with further keys
 OF_THE_MOTION = {"title", "start", "inputs", "driver", "time", "solver", "output"}

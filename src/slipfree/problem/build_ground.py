@@ -24,9 +24,9 @@ from slipfree.problem import schema
 from slipfree.problem.problem import A, Problem, S, shared
 from slipfree.problem.schema import TerrainKeys
 from slipfree.terrain.base import MAX_HEIGHT, Grid, check_friction
+from slipfree.terrain.bicubic import Outline, outline, parts_of
 from slipfree.terrain.grid_ops import MAX_NODES, Changed, Window, cut, disturbed, smoothed
 from slipfree.terrain.kernel import library
-from slipfree.terrain.paged import Outline, outline, parts_of
 from slipfree.terrain.rolled import NODES, rolled
 from slipfree.terrain.synthetic import Rock, blank, place_rocks
 

@@ -20,9 +20,14 @@ from slipfree.core.errors import ModelError
 from slipfree.core.trajectory import Frame
 from slipfree.files import toml
 from slipfree.geometry.regions import Region
-from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
+from slipfree.laws.compliant import Compliant
+from slipfree.laws.coulomb import Coulomb
+from slipfree.laws.least_slip import LeastSlip
+from slipfree.laws.linear_creep import LinearCreep
+from slipfree.laws.protocols import ContactLaw, GroundLaw, SlipLaw
+from slipfree.laws.rolling import Rolling
 from slipfree.laws.soil import OF_THE_LAW, SOILS, Soil, SoilRegion, known_soil
-from slipfree.solve.options import SolverOptions
+from slipfree.solve.system import SolverOptions
 from slipfree.terrain import solids
 from slipfree.terrain.base import Grid
 from slipfree.terrain.solids import Profile
@@ -320,6 +325,22 @@ class Law(toml.Record):
         """Return the parameters that a problem gives for a law, by name."""
         table = getattr(self, name, None)
         return {} if table is None else toml.given_values(table)
+
+
+# Laws by their names in problem files: one line for each
+SLIP_LAWS: dict[str, type[SlipLaw]] = {
+    "least": LeastSlip,
+    "rolling": Rolling,
+}
+GROUND_LAWS: dict[str, type[GroundLaw]] = {
+    "coulomb": Coulomb,
+    "linear_creep": LinearCreep,
+    "soil": Soil,
+}
+CONTACT_LAWS: dict[str, type[ContactLaw]] = {
+    "compliant": Compliant,
+    "soil": Soil,
+}
 
 
 def law_tables() -> type[Law]:

@@ -25,10 +25,9 @@ from slipfree.core.errors import ModelError
 from slipfree.core.newton import solve_equations, solve_linear
 from slipfree.core.records import Array, Mask, Record, leaves
 from slipfree.core.trajectory import SolverError, Trajectory
-from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, complete_samples, linearize, to_trajectory
 from slipfree.solve.simulate import check_times, first_violation
-from slipfree.solve.system import System, with_inputs
+from slipfree.solve.system import SolverOptions, System, with_inputs
 from slipfree.system.forks import computing
 
 TRIED_DEGREES = (8, 10, 12, 14)  # degrees of the polynomials, tried in this order

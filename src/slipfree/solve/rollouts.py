@@ -20,9 +20,9 @@ from slipfree.core.errors import ModelError, SlipfreeError, require
 from slipfree.core.records import Array, leaves
 from slipfree.core.schema import Count, Positive
 from slipfree.core.trajectory import TIME, WHEELS, Column, SolverError, Trajectory
-from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import check_times, simulate
+from slipfree.solve.system import SolverOptions
 from slipfree.system.processes import local_tasks
 
 if TYPE_CHECKING:

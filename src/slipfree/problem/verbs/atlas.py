@@ -30,8 +30,7 @@ from slipfree.problem.build import build_model, build_vehicle, law_name, vehicle
 from slipfree.problem.build_ground import Extremes, GroundMap, build_ground, ground_facts
 from slipfree.problem.problem import Problem
 from slipfree.routing.traversability import extents
-from slipfree.terrain.bicubic import Bicubic
-from slipfree.terrain.paged import Elevation, Outline, PagedBicubic, parts_of
+from slipfree.terrain.bicubic import Bicubic, Elevation, Outline, PagedBicubic, parts_of
 from slipfree.vehicle.tree import Vehicle
 
 MAX_HEADINGS = 360

@@ -54,10 +54,9 @@ from slipfree.problem.build import (
 from slipfree.problem.build_vehicle import vehicle_file, visual_meshes
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys, Modelled, MotionKeys
-from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import stable_poses
-from slipfree.solve.simulate import simulate
-from slipfree.solve.zero_order_hold import simulate_sampled
+from slipfree.solve.simulate import simulate, simulate_sampled
+from slipfree.solve.system import SolverOptions
 from slipfree.system.interrupt import check_interrupt
 from slipfree.terrain.base import Grid
 

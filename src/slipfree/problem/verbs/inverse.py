@@ -39,9 +39,9 @@ from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import FILE, MotionKeys, TerrainKeys, Time
 from slipfree.problem.verbs import base
 from slipfree.solve.collocation import drive
-from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import apply_inputs, replay, round_trip, spline_inputs, trim_states
 from slipfree.solve.sampling import input_samples
+from slipfree.solve.system import SolverOptions
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Vehicle
 

@@ -38,10 +38,10 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.verbs import base, plan_search, plan_setup
 from slipfree.problem.verbs.plan_over_solids import OverSolids, build_over_solids, drive_over_solids
 from slipfree.routing.search import separation_words
-from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import TURN
 from slipfree.solve.settle import SPEED, settle
 from slipfree.solve.simulate import simulate
+from slipfree.solve.system import SolverOptions
 from slipfree.terrain.bicubic import Bicubic
 
 if TYPE_CHECKING:

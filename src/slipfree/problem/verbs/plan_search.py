@@ -82,7 +82,7 @@ from slipfree.problem.verbs.plan_setup import (
     momentum_models,
     plan_task,
 )
-from slipfree.solve.options import MIN_TOLERANCE
+from slipfree.solve.system import MIN_TOLERANCE
 from slipfree.system.parts import PartsWatch, study
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
