@@ -52,7 +52,7 @@ from slipfree import (
 from slipfree.catalog import three_wheeler
 from slipfree.plan.ipopt import Iterate
 from slipfree.solve import integrator as module
-from slipfree.system.threads import NAMES
+from slipfree.system.forks import THREAD_COUNTS
 from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -300,6 +300,6 @@ def print_table(subject: str) -> None:
 
 def main() -> None:
     """Print the parts."""
-    threads = dict.fromkeys(NAMES, "1")
+    threads = dict.fromkeys(THREAD_COUNTS, "1")
     names = ("wheels", "map", "plan", "calls", "start")
     run_parts({name: partial(apart, print_table, name, variables=threads) for name in names})

@@ -23,14 +23,14 @@ from slipfree import load_problem, run_problem
 from slipfree.problem.load import verb_of
 from slipfree.show import viewer
 from slipfree.show.scene import drive_scene
-from slipfree.system.threads import single
+from slipfree.system.forks import single_thread
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
 from made import fill  # noqa: E402
 
-single()  # notebooks are executed side by side
+single_thread()  # notebooks are executed side by side
 
 NOTEBOOKS, INTERACTIVE = DOCS / "notebooks", DOCS / "interactive"
 SHIPPED = find_spec("sphinx-mathjax-offline")  # a package of MathJax's files

@@ -28,7 +28,6 @@ if __name__ == "__main__":
 import signal  # noqa: E402
 
 from slipfree.system.interrupt import interrupt_arrived, interrupt_at_signals, interrupted  # noqa: E402
-from slipfree.system.threads import single  # noqa: E402
 
 INTERRUPTED = (
     130  # exit code; equal to that of `slipfree.core.trajectory`, whose import would be slow
@@ -56,7 +55,9 @@ def main() -> None:
 
 def _run() -> None:
     interrupt_at_signals()
-    single()
+    from slipfree.system.forks import single_thread
+
+    single_thread()
     os.environ["MPLBACKEND"] = "agg"  # a notebook's backend may not be installed here
     _open_streams()
     from slipfree.cli import main as run

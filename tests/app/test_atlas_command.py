@@ -19,8 +19,9 @@ from helpers.rasters import from_origin, geotiff
 from slipfree import Bicubic, catalog, direct_kinematics, read_map
 from slipfree.atlas import atlas as core
 from slipfree.files.atlas_files import open_atlas
-from slipfree.problem import atlas_tiles, build_ground
-from slipfree.system import dask_pool
+from slipfree.problem import build_ground
+from slipfree.problem.verbs import atlas as verb
+from slipfree.system import processes
 from slipfree.terrain import bicubic
 
 INTERPRETED = sets("atlas.compiled=false")
@@ -126,8 +127,8 @@ def test_a_killed_map_continues_and_gives_equal_files(monkeypatch):
     write_map((0.1 * np.sin(np.arange(40 * 20) / 3)).reshape(40, 20).astype("f4"))
     words = "atlas", "site.tif", "three_wheeler", *QUICK, "--headings", "1", "-j", "1"
     printed(*words, "-o", "whole.tif")
-    pressed, computed = pressing(atlas_tiles.compute_tile, at=2)
-    monkeypatch.setattr(atlas_tiles, "compute_tile", pressed)
+    pressed, computed = pressing(verb.compute_tile, at=2)
+    monkeypatch.setattr(verb, "compute_tile", pressed)
     told = printed(*words, "-o", "part.tif", code=130)
     assert "contains 3 of 6 tiles; repeat the command to continue" in told
     printed(*words, "-o", "part.tif")
@@ -144,7 +145,7 @@ def test_only_tiles_as_they_were_written_are_used(monkeypatch):
     write_map((0.1 * np.sin(np.arange(40 * 20) / 3)).reshape(40, 20).astype("f4"))
     words = "atlas", "site.tif", "three_wheeler", *QUICK, "--headings", "1", "-j", "1"
     kept = pytest.MonkeyPatch()
-    kept.setattr(atlas_tiles.TileFolder, "remove", lambda _: None)
+    kept.setattr(verb.TileFolder, "remove", lambda _: None)
     printed(*words, "-o", "a.tif")
     whole = Path("a.tif").read_bytes()
     (folder,) = Path().glob("a_parts_*")
@@ -157,9 +158,9 @@ def test_only_tiles_as_they_were_written_are_used(monkeypatch):
     first, last = files[4].read_bytes(), files[5].read_bytes()
     files[4].write_bytes(last)
     files[5].write_bytes(first)
-    computed, store = [], atlas_tiles.TileFolder.store
+    computed, store = [], verb.TileFolder.store
     monkeypatch.setattr(
-        atlas_tiles.TileFolder,
+        verb.TileFolder,
         "store",
         lambda folder, *tile: computed.append(tile[0]) or store(folder, *tile),
     )
@@ -173,7 +174,7 @@ def test_only_tiles_as_they_were_written_are_used(monkeypatch):
 def test_a_tile_that_is_no_file_is_named_and_the_log_is_closed(monkeypatch):
     words = "atlas", "site.tif", "three_wheeler", *QUICK, "-o", "a.tif"
     with monkeypatch.context() as kept:
-        kept.setattr(atlas_tiles.TileFolder, "remove", lambda _: None)
+        kept.setattr(verb.TileFolder, "remove", lambda _: None)
         printed(*words)
     (tile,) = Path().glob("a_parts_*/*.npy")
     tile.unlink()
@@ -186,14 +187,14 @@ def test_a_tile_that_is_no_file_is_named_and_the_log_is_closed(monkeypatch):
 
 
 def test_other_problems_have_other_tiles_and_one_has_one_command(monkeypatch):
-    monkeypatch.setattr(atlas_tiles.TileFolder, "remove", lambda _: None)
-    told, store = [], atlas_tiles.TileFolder.store
+    monkeypatch.setattr(verb.TileFolder, "remove", lambda _: None)
+    told, store = [], verb.TileFolder.store
 
     def stored(*tile):
         told.append(refused("atlas", "site.tif", "three_wheeler", *words, "-o", "a.tif"))
         store(*tile)
 
-    monkeypatch.setattr(atlas_tiles.TileFolder, "store", stored)
+    monkeypatch.setattr(verb.TileFolder, "store", stored)
     for words in (QUICK, (*QUICK, "--headings", "1")):
         printed("atlas", "site.tif", "three_wheeler", *words, "-o", "a.tif")
     assert len([*Path().glob("a_parts_*")]) == 2
@@ -204,10 +205,8 @@ def test_other_problems_have_other_tiles_and_one_has_one_command(monkeypatch):
 def test_a_map_that_changes_during_the_computation_ends_it(monkeypatch):
     z = np.zeros((40, 20), "f4")
     write_map(z)
-    store = atlas_tiles.TileFolder.store
-    monkeypatch.setattr(
-        atlas_tiles.TileFolder, "store", lambda *words: store(*words) or write_map(z + 1)
-    )
+    store = verb.TileFolder.store
+    monkeypatch.setattr(verb.TileFolder, "store", lambda *words: store(*words) or write_map(z + 1))
     words = refused("atlas", "site.tif", "three_wheeler", *QUICK, "-j", "1")
     assert "expected the input files with which the computation started, found others" in words
     assert not Path(ATLAS).exists()
@@ -277,7 +276,7 @@ def test_workers_of_dask_give_the_same_file_if_one_is_killed(monkeypatch):
     printed(*words, "-o", "here.tif")
     more = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
     with distributed.LocalCluster(n_workers=2, **more) as local:
-        first, store, killed = local.workers[0].pid, atlas_tiles.TileFolder.store, []
+        first, store, killed = local.workers[0].pid, verb.TileFolder.store, []
 
         def kills(folder, *tile):
             store(folder, *tile)
@@ -285,7 +284,7 @@ def test_workers_of_dask_give_the_same_file_if_one_is_killed(monkeypatch):
                 killed.append(first)
                 os.kill(first, signal.SIGKILL)
 
-        monkeypatch.setattr(atlas_tiles.TileFolder, "store", kills)
+        monkeypatch.setattr(verb.TileFolder, "store", kills)
         printed(*words, "-o", "there.tif", "--scheduler", local.scheduler_address)
     assert killed
     assert Path("here.tif").read_bytes() == Path("there.tif").read_bytes()
@@ -379,7 +378,7 @@ def test_hostile_maps_are_refused(z, more, expected, most, monkeypatch):
     ],
 )
 def test_wrong_arguments_are_named(words, expected, monkeypatch):
-    monkeypatch.setattr(dask_pool, "CONNECT", 0.3)
+    monkeypatch.setattr(processes, "CONNECT", 0.3)
     assert expected in refused("atlas", "site.tif", *words)
 
 

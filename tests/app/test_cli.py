@@ -19,7 +19,7 @@ from helpers.problem_files import PROBLEM
 from slipfree.cli import app, console
 from slipfree.core.trajectory import Outcome, SolverError, Stop
 from slipfree.files import netcdf
-from slipfree.system import threads
+from slipfree.system import forks
 
 ROOT = Path(__file__).parents[2]
 KINDS = ("direct", "inverse", "plan")
@@ -286,10 +286,10 @@ def test_linear_algebra_keeps_to_one_thread_unless_told_otherwise(monkeypatch):
     code = "import sys, slipfree.__main__ as m; print('numpy' in sys.modules)"
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "False"
-    for name in threads.NAMES:
+    for name in forks.THREAD_COUNTS:
         monkeypatch.setenv(name, "2")
     monkeypatch.delenv("OMP_NUM_THREADS")
-    threads.single()
+    forks.single_thread()
     assert os.environ["OPENBLAS_NUM_THREADS"] == "2"
     assert os.environ["OMP_NUM_THREADS"] == "1"
 

@@ -29,7 +29,7 @@ from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.files import netcdf
 from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import load_problem
-from slipfree.show import sweep_figures as show
+from slipfree.show import study_figures as show
 from slipfree.show.plots import Swept, Varied
 from slipfree.sweep import (
     Rows,
@@ -42,7 +42,7 @@ from slipfree.sweep import (
     sweep_of,
     work,
 )
-from slipfree.system import dask_pool, processes
+from slipfree.system import processes
 from slipfree.system.parts import LOG
 from slipfree.system.processes import finish_tasks
 
@@ -501,7 +501,7 @@ def test_a_run_that_stops_is_told_by_name(file):
 
 
 def test_no_cluster_is_refused(file, monkeypatch):
-    monkeypatch.setattr(dask_pool, "CONNECT", 0.3)
+    monkeypatch.setattr(processes, "CONNECT", 0.3)
     begun = time.monotonic()
     with socket.create_server(("127.0.0.1", 0)) as dead:  # it does not answer
         addresses = {

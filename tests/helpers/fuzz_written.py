@@ -36,22 +36,22 @@ WRITTEN: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
 @cache
 def _sound(kind: str) -> tuple[Mapping[str, bytes], str]:
     """Return the files of a kind, as the commands write them, and the output that they give."""
-    from slipfree.problem import atlas_tiles
+    from slipfree.problem.verbs import atlas
 
     problem, command, name, readers = WRITTEN[kind]
     if kind == "warm":
         from helpers.fuzz_files import bases, document
 
         problem = document(bases("plan")[0])
-    kept = atlas_tiles.TileFolder.remove
+    kept = atlas.TileFolder.remove
     with TemporaryDirectory() as folder, chdir(folder):
         Path("p.toml").write_text(problem)
         Path("ground.asc").write_text(GROUND)
-        atlas_tiles.TileFolder.remove = lambda _: None  # type: ignore[method-assign]
+        atlas.TileFolder.remove = lambda _: None  # type: ignore[method-assign]
         try:
             _run(command)
         finally:
-            atlas_tiles.TileFolder.remove = kept  # type: ignore[method-assign]
+            atlas.TileFolder.remove = kept  # type: ignore[method-assign]
         names = ("p.toml", "ground.asc", *map(str, Path().glob(f"{Path(name).parent}/*")))
         sound = {each: Path(each).read_bytes() for each in names if Path(each).is_file()}
         return sound, _run(readers[0])

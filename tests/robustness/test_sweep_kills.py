@@ -19,10 +19,9 @@ from helpers.commands import refuses
 from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.version import __version__
 from slipfree.sweep import Rows, sweep_facts, sweep_of, without_motion, work
-from slipfree.system import dask_pool
-from slipfree.system.dask_pool import DaskPool
+from slipfree.system import processes
 from slipfree.system.parts import LOG
-from slipfree.system.processes import Processes, finish_tasks
+from slipfree.system.processes import DaskPool, Processes, finish_tasks
 
 pytestmark = pytest.mark.slow
 
@@ -146,7 +145,7 @@ def test_ctrl_c_keeps_what_is_finished(file: Path) -> None:
 
 
 def test_workers_that_go_away_and_come_back(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dask_pool, "PATIENCE", 0.05)
+    monkeypatch.setattr(processes, "PATIENCE", 0.05)
     said: list[str] = []
     with cluster(1, processes=False, protocol="tcp://") as local:
 
@@ -212,5 +211,5 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
 
 
 def test_a_cluster_that_does_not_fit_is_refused(dask: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dask_pool, "__version__", "9.9")
+    monkeypatch.setattr(processes, "__version__", "9.9")
     refuses(DataError, f"that have slipfree 9.9, found {__version__};", DaskPool, work, dask, print)

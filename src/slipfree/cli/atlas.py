@@ -77,9 +77,8 @@ def atlas(
         GeoTIFF of the maps over the headings, or netCDF file of all poses; repeatable. Default:
         PROBLEM.tif, or MAP_VEHICLE_atlas.tif, in the current folder.
     """
-    from slipfree.problem import atlas_tiles
     from slipfree.problem.inputs import files_read
-    from slipfree.problem.verbs.atlas import build_atlas
+    from slipfree.problem.verbs import atlas as verb
 
     workers = console.workers_of(processes, scheduler)
     values = {
@@ -104,25 +103,25 @@ def atlas(
             )
     named = file.stem if vehicle is None else f"{file.stem}_{Path(vehicle).stem}_atlas"
     outs = out or [Path(f"{named}.tif")]
-    states = atlas_tiles.input_states(problem)
+    states = verb.input_states(problem)
     figures = outs[0].with_name(f"{outs[0].stem}_figures")
     inputs = files_read(problem)
     outputs.check_outputs(outs, inputs, endings=ENDINGS, folder=figures if draw else None)
     with as_arguments():
-        setup = build_atlas(problem)
+        setup = verb.build_atlas(problem)
     console.print_facts(setup.facts, main=[setup.facts[0], setup.facts[-1]])
     for words in setup.warnings:
         console.warn(words)
-    with atlas_tiles.TileFolder(outs[0], setup, states) as tiles:
+    with verb.TileFolder(outs[0], setup, states) as tiles:
         with console.studying("tiles", tiles) as watch:
-            atlas_tiles.run_tiles(setup, tiles, workers, watch)
+            verb.run_tiles(setup, tiles, workers, watch)
             files = [
-                outputs.save(each, lambda path: atlas_tiles.write_file(path, setup, tiles))
+                outputs.save(each, lambda path: verb.write_file(path, setup, tiles))
                 for each in outs
             ]
-            view, facts = atlas_tiles.overview(setup.x, setup.y, setup.site, tiles.tiles())
+            view, facts = verb.overview(setup.x, setup.y, setup.site, tiles.tiles())
         tiles.remove()
-    console.print_facts(atlas_tiles.summary_lines(facts))
+    console.print_facts(verb.summary_lines(facts))
     console.add_json("atlas", lambda: {name: fact._asdict() for name, fact in facts.items()})
     if not facts["allowed_share"].value:
         console.warn("no pose is allowed; the summary lists the reasons")

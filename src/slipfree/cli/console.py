@@ -28,8 +28,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn, TextIO, 
 
 import typer
 
-from slipfree.core.docstrings import descriptions
 from slipfree.core.errors import DataError, ModelError, SlipfreeError, WriteError, shortened
+from slipfree.core.schema import descriptions
 from slipfree.core.version import __version__
 from slipfree.system import interrupt
 from slipfree.system.regular_files import regular_file
@@ -544,8 +544,7 @@ def workers_of(processes: int | None, scheduler: str | None) -> int | Callable[.
 
     Raises DataError if both options that say where to compute are given.
     """
-    from slipfree.system.dask_pool import DaskPool
-    from slipfree.system.processes import available_cores
+    from slipfree.system.processes import DaskPool, available_cores
 
     if scheduler is None:
         return processes or available_cores()

@@ -168,7 +168,7 @@ def _log_fit(
     from slipfree.problem.inputs import files_read
     from slipfree.problem.load import load_again
     from slipfree.problem.verbs import fit as verb
-    from slipfree.show.fit_figures import fit_plot
+    from slipfree.show.study_figures import fit_plot
 
     (file, *more), contents = files, None
     is_fit = predict and file.suffix == ".nc" and FIT in attributes_of(file)
@@ -223,7 +223,7 @@ def _log_fit(
 
 def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
     from slipfree.problem import wheel_test
-    from slipfree.show.fit_figures import soil_plot
+    from slipfree.show.study_figures import soil_plot
 
     contents = wheel_test.read_wheel_file(file, settings)
 
@@ -296,7 +296,7 @@ def wheel(
         files = [save(table, partial(write_records, records=wheel_rows(test.curves)))]
         console.print_facts(wheel_facts(test))
         if picture is not None:
-            from slipfree.show.sweep_figures import wheel_plot
+            from slipfree.show.study_figures import wheel_plot
 
             points, load = measured_points(test.file.runs), test.file.spec.wheel.load
             plot = wheel_plot(picture.stem, test.curves, load, points)

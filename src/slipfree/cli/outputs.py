@@ -13,7 +13,6 @@ import typer
 
 from slipfree.cli import console
 from slipfree.core.errors import DataError, WriteError
-from slipfree.core.trajectory import Outcome
 from slipfree.system.interrupt import held_interrupt
 from slipfree.system.regular_files import check_ending, check_name, check_target, resolve_links
 
@@ -79,6 +78,7 @@ def print_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
 
 def resume_command(run: Trajectory, out: Path, *options: str) -> str:
     """Return the command that resumes an interrupted plan; empty for other motions."""
+    from slipfree.core.trajectory import Outcome
     from slipfree.problem.load import find_motion_verb
     from slipfree.problem.verbs.base import RESUME, VERB_ATTRIBUTE
 
@@ -242,7 +242,15 @@ def save(path: Path, write: Callable[[Path], object]) -> Path:
             try:
                 write(path)
             except WriteError as error:
-                path = _save_elsewhere(path, write, f"{error}; {before}")
+                words = f"{error}; {before}"
+                path = Path(tempfile.mkdtemp(prefix="slipfree_")) / path.name
+                try:
+                    write(path)
+                except WriteError as second:
+                    path.parent.rmdir()
+                    raise WriteError(f"{words}; {second}") from second
+                console.print_error(f"{words}; saved as {path}")
+                console.note_failure()
             is_written = True
             console.add_json_file(path)
     except KeyboardInterrupt:
@@ -250,15 +258,3 @@ def save(path: Path, write: Callable[[Path], object]) -> Path:
             raise
         raise KeyboardInterrupt(f"{path} is not written: {before}") from None
     return path
-
-
-def _save_elsewhere(path: Path, write: Callable[[Path], object], words: str) -> Path:
-    other = Path(tempfile.mkdtemp(prefix="slipfree_")) / path.name
-    try:
-        write(other)
-    except WriteError as error:
-        other.parent.rmdir()
-        raise WriteError(f"{words}; {error}") from error
-    console.print_error(f"{words}; saved as {other}")
-    console.note_failure()
-    return other

@@ -152,7 +152,7 @@ def pareto(
     console.add_json("points", lambda: rows)
     draw = draw and not is_interrupted
     if draw:
-        from slipfree.show.sweep_figures import front_plot
+        from slipfree.show.study_figures import front_plot
 
         drawn = front_plot(front.against, front.unit, front.points, front.given)
         draw_plots([drawn], folder)
@@ -313,7 +313,7 @@ def sweep(
         Print the runs and the estimated time, without running them.
     """
     from slipfree.problem.inputs import files_read
-    from slipfree.show.sweep_figures import save_sweep_figures
+    from slipfree.show.study_figures import save_sweep_figures
     from slipfree.sweep import (
         FAILED,
         LOST,

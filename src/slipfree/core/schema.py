@@ -2,7 +2,9 @@
 
 A key is a field of a dataclass or a parameter of a function with such an annotation. Its meaning is
 that in the docstring, unless an annotation has another one. Checks of bounds, tables of TOML files,
-their reference pages and completion are made from `keys_of`.
+their reference pages and completion are made from `keys_of`, the help of commands from
+`descriptions`. The command line imports this module at its start: it has no other imports of the
+package.
 """
 
 from __future__ import annotations
@@ -15,8 +17,6 @@ from math import inf
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from annotated_types import DocInfo, Ge, Gt, Le, Lt, Unit
-
-from slipfree.core.docstrings import descriptions
 
 Finite = Annotated[float, Gt(-inf), Lt(inf)]
 Positive = Annotated[float, Gt(0), Lt(inf)]
@@ -68,6 +68,17 @@ def keys_of(kind: Callable[..., Any]) -> tuple[Key, ...]:
     return tuple(
         _key(name, hints[name], default, known.get(name, "")) for name, default in defaults.items()
     )
+
+
+def descriptions(kind: Callable[..., Any]) -> dict[str, str]:
+    """Return the descriptions of parameters or attributes in a numpydoc docstring, by name."""
+    text, found = inspect.cleandoc(kind.__doc__ or ""), dict[str, str]()
+    section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(\n\n\w+\n--|\Z)", text, re.S | re.M)
+    for entry in re.split(r"\n(?=\w)", section[1]) if section else ():
+        names, _, words = entry.partition(" : ")
+        words = " ".join(words.partition("\n")[2].split())
+        found |= dict.fromkeys(names.split(", "), words)
+    return found
 
 
 def meanings(kind: Callable[..., Any]) -> dict[str, str]:

@@ -27,11 +27,11 @@ from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.samples import closest_fact
 from slipfree.problem import build_vehicle
-from slipfree.problem.atlas_tiles import overview, summary_lines
 from slipfree.problem.inputs import digest
 from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import STORED, build, motion_facts, open_result
+from slipfree.problem.verbs.atlas import overview, summary_lines
 from slipfree.problem.verbs.base import PLAIN_ROWS, START_ROWS, outcome_fact, ranges
 from slipfree.routing.traversability import extents
 from slipfree.show.atlas_figures import AtlasView, atlas_plots

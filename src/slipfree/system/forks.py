@@ -1,8 +1,9 @@
-"""Postponement of process forks until no other thread is computing, and properties without locks.
+"""Threads: forks that wait until no other thread computes, properties without locks, one thread.
 
 A forked child has a single thread. Locks of CasADi, functools and the linear algebra library that
 other threads held at the fork stay locked in the child forever. OpenBLAS can even hang in ``fork``
-itself, since it waits for computing threads.
+itself, since it waits for computing threads. Linear algebra of small matrices is faster in one
+thread.
 """
 
 from __future__ import annotations
@@ -19,6 +20,11 @@ from slipfree.core.errors import SlipfreeError
 P = ParamSpec("P")
 R = TypeVar("R")
 
+# environment variables with the number of threads of linear algebra
+THREAD_COUNTS = (
+    *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
+    *("MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"),
+)
 MAX_WAIT = 10.0  # longest delay of a fork [s]
 
 
@@ -118,3 +124,12 @@ class cached_property(functools.cached_property[R]):  # noqa: N801 - as in funct
     def __init__(self, function: Callable[[Any], R]) -> None:
         super().__init__(function)
         self.lock = nullcontext()
+
+
+def single_thread() -> None:
+    """Set the number of threads of linear algebra to one, unless the user has set it.
+
+    This has an effect only before numpy is imported.
+    """
+    for name in THREAD_COUNTS:
+        os.environ.setdefault(name, "1")

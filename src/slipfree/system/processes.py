@@ -1,4 +1,4 @@
-"""Processes: pools for long tasks, and single calls with limits of time and memory."""
+"""Processes: pools for long tasks, also of Dask, and calls with limits of time and memory."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager, suppress
 from itertools import islice
@@ -22,11 +23,18 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, Protocol, TypeVar
 
-from slipfree.core.errors import DataError, SlipfreeError
-from slipfree.system.threads import NAMES
+from slipfree.core.errors import DataError, SlipfreeError, require
+from slipfree.core.version import __version__
+from slipfree.system.forks import THREAD_COUNTS
 
 MAX_DURATION = 6.0  # longest duration of a call with limits, in its longest CPU time
 TICK = 0.2  # between two polls [s]
+CONNECT = 10.0  # timeout for the connection to a scheduler [s]
+PATIENCE = 1.0  # time between checks of the number of workers [s]
+NONE_LEFT = "no workers are left; waiting for workers (Ctrl-C ends the computation)"
+BACK = "workers are available again; the computation continues"
+AHEAD = 2  # tasks per worker of Dask, so that it need not wait for the next one
+
 Poll = Callable[[], None]
 T = TypeVar("T")
 D = TypeVar("D")
@@ -145,6 +153,127 @@ class Processes(Generic[T, D]):
             process.end()
 
 
+class DaskPool(Generic[T, D]):
+    """A pool of the workers of a Dask scheduler.
+
+    Workers need the same version of slipfree, and the input files of the problem at the same paths.
+    A worker executes one task at a time, regardless of its number of threads; it calls
+    ``function``, which is at module level. ``warn`` is called with a message when all workers are
+    lost, and when workers are available again.
+
+    DataError is raised if the package distributed is not installed, no scheduler responds at the
+    address, it has no workers, or they do not have the same version of slipfree.
+    """
+
+    def __init__(
+        self, function: Callable[[T], D], address: str, warn: Callable[[str], None]
+    ) -> None:
+        self._function, self._address, self._warn = function, address, warn
+        distributed = require("distributed", "cluster", "--scheduler: ")
+        import asyncio  # takes 45 ms
+
+        from distributed.comm.core import connect
+        from distributed.security import Security
+
+        async def reach() -> None:
+            """Check that the scheduler accepts a connection.
+
+            A Dask client that cannot connect takes 20 s to close, and prints a traceback.
+            """
+            security = Security().get_connection_args("client")
+            async with asyncio.timeout(CONNECT):  # connect itself waits forever for one that hangs
+                comm = await connect(address, timeout=CONNECT, **security)
+                await comm.close()
+
+        try:
+            with ThreadPoolExecutor(1) as alone:  # a notebook already runs an event loop
+                alone.submit(asyncio.run, reach()).result()
+            client = distributed.Client(address, timeout=CONNECT, set_as_default=False)
+        except Exception as error:  # its class depends on the transport
+            reason = f"{type(error).__name__}: {error}".removesuffix(": ")
+            raise DataError(
+                f"--scheduler {address}: expected the address of a running Dask scheduler, as in "
+                f"tcp://10.0.0.1:8786, found none ({reason}); start one: dask scheduler"
+            ) from error
+        head = f"--scheduler {address}: expected workers"
+        expected = f"{head} that have slipfree {__version__}, found"
+        try:
+            versions = set(client.run(_version).values())
+            if not versions:
+                raise DataError(
+                    f"{head}, found none; start some: "
+                    f"dask worker {address} --nworkers 4 --nthreads 1"
+                )
+            if versions != {__version__}:
+                raise DataError(
+                    f"{expected} {', '.join(sorted(versions))}; install the same version on all "
+                    "workers"
+                )
+        except BaseException as error:
+            client.close()
+            # workers can raise any error on import
+            if isinstance(error, DataError) or not isinstance(error, Exception):
+                raise
+            raise DataError(
+                f"{expected} {type(error).__name__}: {error}; install this version on all workers"
+            ) from error
+        self._client = client
+        self._workers, self._asked = 1, 0.0
+        self._open: dict[str, Any] = {}
+
+    def room(self) -> int:
+        """Return the largest number of open tasks; warn if all workers are lost or some are back.
+
+        Raises SlipfreeError if the connection to the scheduler is lost.
+        """
+        if self._client.status != "running":
+            raise self._gone()
+        if (now := time.monotonic()) - self._asked > PATIENCE:
+            before, self._asked = self._workers, now
+            with suppress(OSError):  # if the scheduler stops, the status changes
+                self._workers = len(self._client.nthreads())
+            if bool(before) != bool(self._workers):
+                words = BACK if self._workers else NONE_LEFT
+                self._warn(f"--scheduler {self._address}: {words}")
+        return max(1, AHEAD * self._workers)
+
+    def submit(self, task: T) -> Any:
+        """Return the future of a task."""
+        key = f"slipfree-{os.urandom(8).hex()}"
+        self._open[key] = self._client.submit(self._function, task, key=key)
+        return self._open[key]
+
+    def result(self, future: Any, task: T) -> D:  # noqa: ARG002 - interface of pools
+        """Return the result of a future.
+
+        ProcessDiedError is raised if the worker of the task failed, SlipfreeError if the connection
+        to the scheduler is lost.
+        """
+        del self._open[future.key]
+        if future.status == "finished":
+            done: D = future.result()
+            return done
+        if future.status == "error":
+            raise ProcessDiedError(f"its worker failed ({future.exception()})")
+        raise self._gone()
+
+    def close(self) -> None:
+        """Cancel open tasks and disconnect from the scheduler."""
+        with suppress(Exception):  # the scheduler may have stopped
+            self._client.cancel([*self._open.values()])
+        self._client.close()
+
+    def _gone(self) -> SlipfreeError:
+        return SlipfreeError(
+            f"--scheduler {self._address}: the connection to the scheduler is lost; what is "
+            "finished is kept; start a scheduler and repeat the command to continue"
+        )
+
+
+def _version() -> str:
+    return __version__
+
+
 @contextmanager
 def local_tasks(
     function: Callable[[T], D], most: int, here: Callable[[T], D] | None = None
@@ -208,9 +337,9 @@ def _exit_words(code: int | None) -> str:
 @contextmanager
 def for_children() -> Iterator[None]:
     """Set up this process so that new child processes use one thread and ignore Ctrl-C."""
-    before = {name: os.environ.get(name) for name in NAMES}
+    before = {name: os.environ.get(name) for name in THREAD_COUNTS}
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ.update(dict.fromkeys(NAMES, "1"))
+    os.environ.update(dict.fromkeys(THREAD_COUNTS, "1"))
     try:
         yield
     finally:
@@ -259,7 +388,7 @@ def bounded_call(
     clause about "it".
     """
     limits = pickle.dumps((sys.path, seconds, int(memory)))
-    names = {**os.environ, **dict.fromkeys(NAMES, "1")}
+    names = {**os.environ, **dict.fromkeys(THREAD_COUNTS, "1")}
     process = subprocess.Popen(
         # -P: the current folder may contain modules of somebody else
         [sys.executable, "-P", "-c", _BOUNDED],
