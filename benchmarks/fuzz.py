@@ -26,10 +26,9 @@ from random import Random
 
 from common import apart
 
-from helpers.fuzz_checks import READ, REFUSED, Verdict, judged
-from helpers.fuzz_files import KINDS, drawn
+from helpers.fuzz_checks import READ, REFUSED, Verdict, judged, judged_silently
+from helpers.fuzz_files import KINDS, SILENT_KINDS, drawn
 from helpers.fuzz_libraries import LIBRARY_KINDS
-from helpers.fuzz_mutants import MUTANTS, judged_silently
 from helpers.fuzz_written import WRITTEN_KINDS
 
 SHARES = {"direct": 4, "inverse": 2, "plan": 2, "vehicle": 3, "result": 2}  # others: 2
@@ -76,9 +75,9 @@ class Tally:
 def one(kind: str, number: int, seed: int, folder: Path) -> Verdict:
     """Return the outcome of a case."""
     rng = Random(f"{seed}-{kind}-{number}")
-    if kind in MUTANTS:
+    if kind in SILENT_KINDS:
         with tempfile.TemporaryDirectory() as told:
-            return judged_silently(MUTANTS[kind](rng), folder, Path(told) / "stderr")
+            return judged_silently(drawn(kind, rng), folder, Path(told) / "stderr")
     return judged(drawn(kind, rng), folder, deep=rng.random() < DEEP)
 
 

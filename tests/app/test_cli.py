@@ -156,9 +156,13 @@ def test_run_in_json() -> None:
 
 
 def test_early_ends_and_bad_input_in_json() -> None:
+    """The motion to the edge of the map is saved."""
     found = _json("run", "p.toml", "--no-draw", "--set", "time.duration=3", code=1)
-    assert found["result"]["stop"]["name"] == "map_margin[front]"
-    assert found["result"]["stop"]["time"] == pytest.approx(1.25, abs=1e-5)
+    motion = netcdf.read("p.nc")
+    assert found["result"]["stop"]["name"] == motion.stop.name == "map_margin[front]"
+    assert found["result"]["stop"]["time"] == motion.stop.t == pytest.approx(1.25, abs=1e-5)
+    assert motion.t[-1] == pytest.approx(1.25, abs=1e-5)
+    assert motion.stop.words.startswith("wheel front leaves the map")
     assert (found["outcome"], found["exit_code"]) == ("limit", 1)
     title = "limit reached at t = 1.25 s (map_margin[front])"
     assert found["errors"] == [f"{title}; p.nc contains the result so far"]
@@ -328,18 +332,6 @@ def test_runs_print_the_main_facts_and_info_all_of_them():
     assert main[-1] == "wrote a b.nc; all facts: slipfree info 'a b.nc'"
     shown = invoke("info", "p.nc", code=0).stdout
     assert all(line.partition("  ")[2].strip() in shown for line in all_facts[:-1])
-
-
-def test_leaving_the_map_saves_the_motion_to_the_edge(folder):
-    result = invoke("run", "p.toml", "--no-draw", "--set", "time.duration=3", code=1)
-    title = "limit reached at t = 1.25 s (map_margin[front])"
-    assert re.match(rf"outcome +{re.escape(title)}: wheel front leaves the map", result.stdout)
-    assert result.stderr == f"{title}; p.nc contains the result so far\n"
-    motion = netcdf.read(folder / "p.nc")
-    assert motion.stop is not None
-    assert motion.stop.name == "map_margin[front]"
-    assert motion.stop.t == pytest.approx(1.25, abs=1e-5)
-    assert motion.t[-1] == pytest.approx(1.25, abs=1e-5)
 
 
 def test_a_failing_integrator_saves_what_was_reached(folder, monkeypatch):

@@ -10,7 +10,6 @@
 - ``text`` is no code. A block without a language is refused.
 """
 
-import json
 import re
 import shlex
 import shutil
@@ -29,6 +28,7 @@ import typer
 
 import slipfree as sf
 from helpers.commands import printed
+from helpers.fuzz_files import document
 from slipfree import Analytic, SamplingTask, catalog, commanded, direct_kinematics, settle, simulate
 from slipfree.cli import app
 from slipfree.files.atlas_files import Site, write_atlas
@@ -58,14 +58,6 @@ PROBLEMS = {  # shipped problems that the keys of a verb complete
 VERBS = {"inverse": "inverse", "plan": "plan"}  # of blocks without one, by page
 EXCLUSIVE = {"driver": "inputs", "inputs": "driver", "path": "given", "given": "path"}
 VEHICLE, WHEEL = {"wheels", "shapes"}, {"wheel", "soil", "test"}  # keys of other files
-NODE = {  # names that a node of ROS 2 imports; the node is only defined
-    "rclpy": (),
-    "rclpy.node": ("Node",),
-    "geometry_msgs": (),
-    "geometry_msgs.msg": ("Twist",),
-    "nav_msgs": (),
-    "nav_msgs.msg": ("Odometry",),
-}
 
 
 def blocks_of(page, *languages):
@@ -106,30 +98,17 @@ def given(page: str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("folder")
+@pytest.mark.usefixtures("folder", "ros")
 @pytest.mark.parametrize("page", [*pages_with("python"), CLOSED_FORMS])
 def test_python_runs(page, monkeypatch):
-    for name, members in NODE.items():
-        module = ModuleType(name)
-        vars(module).update({member: type(member, (), {}) for member in members})
-        monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     names = {"__name__": "page"} | given(page.stem)
     for text in blocks_of(page, "python", "{code-cell} ipython3"):
         exec(compile(text, page.name, "exec"), names)
 
 
-def inline(value: Any) -> str:
-    """Return a value of TOML in one line."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(k)} = {inline(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(inline, value)) + "]"
-    return repr(value) if isinstance(value, float) else json.dumps(value)
-
-
 def write(file, keys):
-    file.write_text("\n".join(f"{name} = {inline(value)}" for name, value in keys.items()))
+    file.write_text(document(keys))
     return file
 
 
@@ -206,9 +185,6 @@ def test_c_compiles_with_the_exported_code(page, folder):
         subprocess.run(["./main"], check=True)
 
 
-PAGE = Path(__file__).parents[2] / "docs" / "howto" / "control.md"
-
-
 class Node:
     """What the node uses of ``rclpy.node.Node``."""
 
@@ -235,8 +211,8 @@ class Twist:
 
 
 @pytest.fixture
-def driver(monkeypatch):
-    """Return the class of the documentation."""
+def ros(monkeypatch):
+    """Offer the names that a node of ROS 2 imports."""
     modules = {"geometry_msgs.msg": {"Twist": Twist}, "rclpy.node": {"Node": Node}}
     modules["nav_msgs.msg"] = {"Odometry": type("Odometry", (), {})}
     for name, values in modules.items():
@@ -244,11 +220,12 @@ def driver(monkeypatch):
             module = ModuleType(part)
             module.__dict__.update(values)
             monkeypatch.setitem(sys.modules, part, module)
-    (text,) = (
-        block.partition("```")[0]
-        for block in PAGE.read_text("utf-8").split("```python\n")[1:]
-        if "rclpy" in block
-    )
+
+
+def driver():
+    """Return the class of the documentation."""
+    page = ROOT / "docs" / "howto" / "control.md"
+    (text,) = (text for text in blocks_of(page, "python") if "rclpy" in text)
     assert len(text.split("class Driver")[1].splitlines()) <= 30
     names: dict[str, object] = {}
     exec(text, names)
@@ -264,7 +241,8 @@ def odometry(run):
     )
 
 
-def test_the_node_drives_to_its_goal_and_stops_without_a_pose(driver):
+@pytest.mark.usefixtures("ros")
+def test_the_node_drives_to_its_goal_and_stops_without_a_pose():
     vehicle = catalog.skid_steer()
     hills = Analytic(lambda x, y: 0.03 * x * y)
     world = commanded(direct_kinematics(vehicle, hills), speed=0.4)
@@ -273,7 +251,7 @@ def test_the_node_drives_to_its_goal_and_stops_without_a_pose(driver):
     task = SamplingTask(
         world, {"slip": 1.0}, goal, 3.0, ranges, intervals=5, candidates=48, compiled=False
     )
-    node = driver(task, period=0.5)
+    node = driver()(task, period=0.5)
     node.on_timer()
     assert (node.published[-1].linear.x, node.published[-1].angular.z) == (0.0, 0.0)
     here = settle(world)

@@ -1,19 +1,15 @@
 """Tests of editing a planning problem: values read, changed in the file, and sent by a page."""
 
-import http.client
 import json
 import threading
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import pytest
 
 from helpers.cases import DATA
 from helpers.commands import invoke, refuses
-from slipfree.cli.show import open_page
 from slipfree.core.errors import DataError
 from slipfree.files.toml import ProblemError
 from slipfree.problem import plan_edit
@@ -31,7 +27,7 @@ from slipfree.problem.plan_edit import (
     state_of,
 )
 from slipfree.show.html_page import PlanPage
-from slipfree.show.local_server import ConflictError, Content, Gate, json_content, start_server
+from slipfree.show.local_server import ConflictError, Content
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PARKING = PROBLEMS / "plan_parking.toml"
@@ -253,98 +249,3 @@ def test_links_and_permissions_remain_and_read_only_files_are_refused(document):
 def test_only_planning_problems_are_edited():
     done = invoke("edit", str(PROBLEMS / "paper_direct.toml"), "--no-browser", code=2)
     assert "expected a problem with verb = 'plan', found verb = 'direct'" in done.stderr
-
-
-class Client:
-    """Connection to a server that echoes what is posted to ``/echo``."""
-
-    def __init__(self, port: int, secret: str, warnings: list[str]) -> None:
-        self.port, self.secret, self.warnings = port, secret, warnings
-
-    def ask(self, method: str, path: str, body: str = "", **headers: str) -> tuple[int, str]:
-        """Return status and text of the answer to a request with the secret."""
-        return self.ask_plainly(method, f"/{self.secret}{path}", body, **headers)
-
-    def ask_plainly(
-        self, method: str, path: str, body: str = "", **headers: str
-    ) -> tuple[int, str]:
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
-        names = {name.replace("_", "-"): value for name, value in headers.items()}
-        connection.request(method, path, body or None, names)
-        answer = connection.getresponse()
-        return answer.status, answer.read().decode()
-
-
-@pytest.fixture
-def client() -> Iterator[Client]:
-    warnings: list[str] = []
-
-    def refuse(_: object) -> object:
-        raise DataError("expected another value")
-
-    def conflict(_: object) -> object:
-        raise ConflictError({"version": 1})
-
-    get, gate = {"/": lambda: json_content("page")}, Gate("slipfree edit", warnings.append)
-    post = {"/echo": lambda data: data, "/no": refuse, "/old": conflict}
-    server = start_server(0, get, post, gate)
-    thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
-    thread.start()
-    yield Client(server.server_port, gate.url(0).split("/")[3], warnings)
-    server.shutdown()
-    server.server_close()
-    thread.join()
-
-
-def test_a_server_answers_its_own_page_only(client):
-    kind = "application/json"
-    assert client.ask("GET", "/") == (200, '"page"')
-    assert client.ask("POST", "/echo", "[1]", Content_Type=kind) == (200, "[1]")
-    assert client.ask("GET", "/other")[0] == 404
-    assert client.ask("POST", "/", "[1]", Content_Type=kind)[0] == 404
-    assert client.ask("POST", "/no", "[1]", Content_Type=kind) == (400, "expected another value")
-    assert client.ask("POST", "/old", "[1]", Content_Type=kind) == (409, '{"version": 1}')
-    assert client.ask("POST", "/echo", "[1]", Content_Type="text/plain")[0] == 400
-    assert client.ask("POST", "/echo", "{", Content_Type=kind)[0] == 400
-    assert client.ask("POST", "/echo", "[" * 100_000, Content_Type=kind)[0] == 400
-    assert client.ask("POST", "/echo", Content_Type=kind, Content_Length="9" * 9)[0] == 400
-    assert client.warnings == []
-    assert (
-        client.ask("POST", "/echo", "[1]", Content_Type=kind, Origin="http://a.example")[0] == 403
-    )
-    status, words = client.ask("GET", "/", Host="a.example")
-    assert status == 403
-    assert "expected the address that slipfree edit printed, with its secret" in words
-    (warning,) = client.warnings
-    assert "origin 'http://a.example', with the secret" in warning
-
-
-def test_only_who_knows_the_secret_is_answered_and_refusals_are_counted(client):
-    kind, near = "application/json", client.secret[:-1]
-    for path in ("/", "/echo", f"/{near}/echo", f"/x{near}/echo", f"/echo?{client.secret}", "*"):
-        assert client.ask_plainly("POST", path, "[1]", Content_Type=kind)[0] == 403
-    for _ in range(6, 300):
-        assert client.ask_plainly("GET", "/map.png")[0] == 403
-    first, *others = client.warnings
-    assert first.endswith("without the secret")
-    assert others == ["refused 10 requests", "refused 100 requests"]
-    assert client.secret not in first
-    gate = Gate("slipfree show", print)
-    assert gate.admit("/\udcff\xe9", ["127.0.0.1:1"], [], 1)[0] == ""
-
-
-def test_browsers_get_the_address_by_a_private_file(monkeypatch):
-    opened: list[str] = []
-    monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr("webbrowser.open", opened.append)
-    open_page("http://127.0.0.1:1/secret/", browser=True)
-    (address,) = opened
-    assert "secret" not in address
-    file = Path(urlsplit(address).path)
-    assert "http://127.0.0.1:1/secret/" in file.read_text(encoding="utf-8")
-    assert file.stat().st_mode & 0o077 == 0
-
-
-def test_a_port_in_use_is_refused(client):
-    with pytest.raises(DataError, match=f"expected a free port, found {client.port} in use"):
-        start_server(client.port, {}, {}, Gate("slipfree edit", print))

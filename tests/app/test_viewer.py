@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import http.client
 import io
 import itertools
 import json
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
-from urllib.parse import urlsplit
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,9 +21,7 @@ from scipy.ndimage import binary_erosion
 from helpers.chromium import headless_chromium
 from helpers.commands import invoke, refused, sets, shown
 from helpers.problem_files import rough_ground
-from slipfree.core.errors import DataError
-from slipfree.show.local_server import Content, Gate, start_server
-from slipfree.show.viewer import recorder, stop
+from slipfree.show.viewer import stop
 
 PATIENCE = 240.0  # for one picture, where many tests share few processors [s]
 SIZE = (1000, 480)
@@ -367,137 +362,3 @@ def test_long_motions_are_followed_and_shown_faster(files: list[Path], is_far: b
     html = viewer.page(scene, "title", "height")
     assert "Played at 8 times real speed." in html
     assert ("The view follows a." in html) == (">overview<" in html) == is_far == scene.is_far
-
-
-# The server answers only requests of its own page
-
-GUARD_PATIENCE = 30.0  # [s]
-EVIL = "http://evil.example"
-
-
-class Served(NamedTuple):
-    """A running server."""
-
-    port: int
-    path: str
-
-    def get(self, path: str | None = None, **headers: str) -> tuple[int, str]:
-        """Return the status and the text of a request that has only these headers."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=GUARD_PATIENCE)
-        words = self.path if path is None else path
-        connection.putrequest("GET", words, skip_host=True, skip_accept_encoding=True)
-        for name, value in headers.items():
-            connection.putheader(name, value)
-        connection.endheaders()
-        response = connection.getresponse()
-        found = response.status, response.read().decode()
-        connection.close()
-        return found
-
-
-@pytest.fixture
-def told() -> list[str]:
-    return []
-
-
-@pytest.fixture
-def server(told: list[str]) -> Iterator[Served]:
-    gate = Gate("slipfree show", told.append)
-    found = start_server(0, {"/": lambda: Content(b"<p>page", "text/html")}, {}, gate)
-    threading.Thread(target=found.serve_forever, daemon=True).start()
-    yield Served(found.server_port, urlsplit(gate.url(found.server_port)).path)
-    found.shutdown()
-    found.server_close()
-
-
-@pytest.mark.parametrize("name", ["127.0.0.1", "[::1]", "LocalHost"])
-def test_own_pages_are_answered(server: Served, told: list[str], name: str) -> None:
-    host = f"{name}:{server.port}"
-    for headers in ({"Host": host}, {"Host": host, "Origin": f"http://{host}"}):
-        assert server.get(**headers) == (200, "<p>page")
-    assert told == []
-
-
-@pytest.mark.parametrize("path", ["/", "/wrong/", "/?a={}", "/{}x/"])
-def test_requests_without_the_secret_are_refused(
-    server: Served, told: list[str], path: str
-) -> None:
-    secret = server.path.strip("/")
-    status, text = server.get(path.format(secret), Host=f"127.0.0.1:{server.port}")
-    assert status == 403
-    assert "expected the address that slipfree show printed, with its secret" in text
-    assert "open that address in the browser" in text
-    (words,) = told
-    assert words.endswith("without the secret")
-    assert secret not in words + text
-
-
-FOREIGN = {
-    "rebound": ("evil.example:{}", None),
-    "rebound, with its origin": ("evil.example:{}", f"{EVIL}:{{}}"),
-    "another page": ("127.0.0.1:{}", EVIL),
-    "a file or a sandbox": ("127.0.0.1:{}", "null"),
-    "no origin": ("127.0.0.1:{}", ""),
-    "another scheme": ("127.0.0.1:{}", "https://127.0.0.1:{}"),
-    "another port": ("127.0.0.1:1", None),
-    "a longer name": ("127.0.0.1.evil.example:{}", None),
-}
-
-
-@pytest.mark.parametrize(("host", "origin"), FOREIGN.values(), ids=FOREIGN)
-def test_foreign_pages_are_refused(
-    server: Served, told: list[str], host: str, origin: str | None
-) -> None:
-    port = server.port
-    headers = {"Host": host.format(port)}
-    if origin is not None:
-        headers["Origin"] = origin.format(port)
-    status, text = server.get(**headers)
-    assert status == 403
-    assert "expected the address that slipfree show printed" in text
-    (words,) = told
-    assert words.endswith("with the secret")
-    assert headers["Host"] in words
-
-
-def test_requests_without_or_with_two_hosts_are_refused(server: Served, told: list[str]) -> None:
-    port = server.port
-    assert server.get()[0] == 403
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=GUARD_PATIENCE)
-    connection.putrequest("GET", "/")
-    connection.putheader("Host", "evil.example")
-    connection.endheaders()
-    assert connection.getresponse().status == 403
-    connection.close()
-    assert len(told) == 1
-
-
-def test_warnings_are_few_and_plain(server: Served, told: list[str]) -> None:
-    for number in range(12):
-        server.get(Host=f"{number}\x9b2J{'x' * 500}")
-    assert len(told) == 2
-    assert told[-1] == "refused 10 requests"
-    assert all(words.isprintable() and words.isascii() and len(words) < 300 for words in told)
-
-
-def test_the_port_of_a_recorder_is_closed() -> None:
-    pytest.importorskip("viser")
-    server = recorder()
-    assert Served(server.get_port(), "/").get(Host="127.0.0.1")[0] == 403
-    stop(server)
-
-
-def test_a_recorder_that_cannot_be_closed_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    ended = []
-
-    class Other:
-        def __init__(self, **_: Any) -> None:
-            pass
-
-        def stop(self) -> None:
-            ended.append(self)
-
-    monkeypatch.setattr(pytest.importorskip("viser"), "ViserServer", Other)
-    with pytest.raises(DataError, match="expected a version of viser whose port"):
-        recorder()
-    assert len(ended) == 1

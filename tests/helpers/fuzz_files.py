@@ -12,14 +12,16 @@ from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from xml.etree import ElementTree
 
 import numpy as np
 from pydantic import BaseModel, PlainValidator
 
 from helpers.fuzz_damage import NUMBERS, ODD, WORDS, Case, damaged, grown, shuffled
 from helpers.fuzz_libraries import LIBRARY_KINDS
-from helpers.fuzz_maps import archive, ascii_grid, beside, cloud, picture, points
+from helpers.fuzz_maps import archive, ascii_grid, beside, cloud, mutated_raster, picture, points
 from helpers.fuzz_written import WRITTEN_KINDS
+from helpers.urdf import FOUR, link
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Outcome, Stop, Trajectory
 from slipfree.files import netcdf
@@ -33,12 +35,14 @@ from slipfree.vehicle.shapes import SHAPES
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"
 DEEP = 100_000
+ROBOTS = ("cart", "bogie")  # with vehicle files that complete them
+PRINTABLE = re.compile(r"[^\x00-\x08\x0b\x0c\x0e-\x1f\x80-\uffff]*")
 Table = dict[str, Any]
 
 
 def drawn(kind: str, rng: Random) -> Case:
     """Return a case of a kind."""
-    return (KINDS | LIBRARY_KINDS | WRITTEN_KINDS)[kind](kind, rng)
+    return (KINDS | LIBRARY_KINDS | WRITTEN_KINDS | SILENT_KINDS)[kind](kind, rng)
 
 
 # -------------------------------------------------------------------------------------------- TOML
@@ -287,11 +291,11 @@ def _deep(rng: Random) -> bytes:
 
 def _vehicle(kind: str, rng: Random) -> Case:
     """Return a vehicle file of TOML: a whole vehicle, or one that completes a URDF."""
-    file, how = rng.choice(["trailer", "trike", "cart", "bogie"]), rng.random()
-    place = DATA if file in ("cart", "bogie") else ROOT / "problems" / "vehicles"
+    file, how = rng.choice(["trailer", "trike", *ROBOTS]), rng.random()
+    place = DATA if file in ROBOTS else ROOT / "problems" / "vehicles"
     text = (place / f"{file}.toml").read_text()
     if how < 0.2:
-        schema = UrdfTable if file in ("cart", "bogie") else VehicleTable
+        schema = UrdfTable if file in ROBOTS else VehicleTable
         text = document(
             {**tomllib.loads(text), **made(schema, rng)}
             if rng.random() < 0.7
@@ -304,18 +308,16 @@ def _vehicle(kind: str, rng: Random) -> Case:
     raw = text.encode("utf-8", "surrogatepass")
     if how >= 0.85:
         raw = damaged(raw, rng) if how < 0.97 else _deep(rng)
-    side = {f"{name}.urdf": (DATA / f"{name}.urdf").read_bytes() for name in ("cart", "bogie")}
+    side = {f"{name}.urdf": (DATA / f"{name}.urdf").read_bytes() for name in ROBOTS}
     return Case(kind, {**side, "vehicle.toml": raw}, "vehicle.toml")
 
 
 def _urdf(kind: str, rng: Random) -> Case:
-    name = rng.choice(["cart", "bogie"])
+    name = rng.choice(ROBOTS)
     raw, how = (DATA / f"{name}.urdf").read_bytes(), rng.random()
     if how < 0.6:
         raw = shuffled(raw.decode(), rng, rng.choice([r"\S", '"', r"\w"])).encode()
-    elif how < 0.75:
-        raw = _branches(rng).encode()
-    elif how < 0.95:
+    elif how < 0.9:
         raw = damaged(raw, rng)
     else:
         raw = rng.choice(
@@ -347,30 +349,59 @@ def _chain(count: int) -> bytes:
     return f"<robot name='arm'>{links}{joints}</robot>".encode()
 
 
-TYPES = ("continuous", "revolute", "fixed", "prismatic")
+def mutated_urdf(_: str, rng: Random) -> Case:
+    """Return a robot with mutated bytes, or one to four mutated elements or attributes."""
+    known = [((DATA / f"{n}.urdf").read_text(), (DATA / f"{n}.toml").read_text()) for n in ROBOTS]
+    bare = f'<robot name="r">{link("base")}{FOUR}</robot>'
+    text, completion = rng.choice([*known, (bare, 'urdf = "r.urdf"\n')])
+    name = completion.partition('urdf = "')[2].partition('"')[0]
+    if rng.random() < 0.3:
+        raw = damaged(text.encode(), rng)
+    else:
+        robot = ElementTree.fromstring(text)
+        for _ in range(rng.choice([1, 1, 2, 4])):
+            rng.choice([_change_elements, *[_change_attributes] * 3])(robot, rng)
+        raw = ElementTree.tostring(robot)
+    files = {name: raw, "vehicle.toml": completion.encode()}
+    return Case("urdf", files, rng.choice([*files]))
 
 
-def _branches(rng: Random) -> str:
-    """Return a robot of links, joints and wheels that fit, or nearly."""
-    count = rng.randint(3, 9)
-    shapes = [
-        "",
-        "<collision><origin rpy='1.5707963 0 0'/><geometry><cylinder radius='0.1' length='0.02'/>"
-        "</geometry></collision>",
-        "<visual><geometry><sphere radius='0.2'/></geometry></visual>",
-        "<inertial><mass value='2'/></inertial>",
-    ]
-    parts = [f"<link name='l{k}'>{rng.choice(shapes)}</link>" for k in range(count)]
-    for k in range(1, count):
-        above = rng.randrange(k) if rng.random() < 0.95 else rng.randrange(count)
-        place = " ".join(str(rng.choice([0, 0.3, -0.3, 1])) for _ in range(3))
-        parts.append(
-            f"<joint name='j{k}' type='{rng.choice(TYPES)}'>"
-            f"<parent link='l{above}'/><child link='l{k}'/><origin xyz='{place}'/>"
-            f"<axis xyz='{rng.choice(['0 1 0', '0 0 1', '1 0 0', '0 0 0'])}'/>"
-            f"<limit lower='-1' upper='{rng.choice(['1', '-2', 'x', '1e9'])}'/></joint>"
-        )
-    return f"<robot name='r'>{''.join(parts)}</robot>"
+def _change_elements(robot: ElementTree.Element, rng: Random) -> None:
+    """Remove, repeat, rename or move an element."""
+    parent = rng.choice([each for each in robot.iter() if len(each)])
+    element = rng.choice(list(parent))
+    how = rng.randrange(4)
+    if how == 0:
+        parent.remove(element)
+    elif how == 1:
+        parent.insert(rng.randint(0, len(parent)), element)
+    elif how == 2:
+        element.tag = rng.choice([each.tag for each in robot.iter()])
+    else:
+        parent.remove(element)
+        robot.append(element)
+
+
+def _change_attributes(robot: ElementTree.Element, rng: Random) -> None:
+    """Remove, rename or exchange an attribute, or change a word or number of its value."""
+    elements = [each for each in robot.iter() if each.attrib]
+    element, other = rng.choice(elements), rng.choice(elements)
+    key, second = rng.choice([*element.attrib]), rng.choice([*other.attrib])
+    how = rng.randrange(6)
+    if how == 0:
+        del element.attrib[key]
+    elif how == 1:
+        element.attrib[second] = element.attrib.pop(key)
+    elif how == 2:
+        element.attrib[key], other.attrib[second] = other.attrib[second], element.attrib[key]
+    else:
+        parts = re.split(r"([ ,]+)", element.attrib[key])
+        words = [word for word in WORDS if PRINTABLE.fullmatch(word)]
+        numbers = [_whole(n) if isinstance(n, int) else repr(n) for n in NUMBERS]
+        size = f"{rng.lognormvariate(0, 2):.3g}"
+        k = rng.randrange(len(parts))
+        parts[k] = rng.choice([size, f"-{parts[k]}", rng.choice(words), rng.choice(numbers)])
+        element.attrib[key] = "".join(parts)
 
 
 # ----------------------------------------------------------------------------------------- results
@@ -474,10 +505,12 @@ KINDS: dict[str, Callable[[str, Random], Case]] = {
     "points": points,
     "ply": cloud,
     "pcd": cloud,
-    "tiff": picture,
+    "tif": picture,
     "png": picture,
     "img": picture,
     "sidecar": beside,
     "result": _result,
     "name": _named,
 }
+# kinds of which nothing may be printed
+SILENT_KINDS = {"mutated_urdf": mutated_urdf, "mutated_raster": mutated_raster}

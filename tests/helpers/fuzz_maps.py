@@ -5,12 +5,18 @@ import struct
 import warnings
 import zipfile
 from functools import cache
+from itertools import product
+from pathlib import Path
 from random import Random
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import rasterio.shutil
+from PIL import Image
 
 from helpers.fuzz_damage import NUMBERS, ODD, Case, damaged
+from helpers.rasters import from_origin, geotiff
 
 
 def ascii_grid(kind: str, rng: Random) -> Case:
@@ -203,65 +209,61 @@ def _lying(rng: Random) -> bytes:
     return stream.getvalue()
 
 
-PLACED = {"tiff": "GTiff", "img": "HFA"}
+RASTERS: dict[str, tuple[str, str, list[dict[str, Any]]]] = {  # driver, type of heights, options
+    "tif": (
+        "GTiff",
+        "float32",
+        [{}, {"compress": "deflate", "predictor": 3}, {"compress": "lzw", "tiled": True}],
+    ),
+    "asc": ("AAIGrid", "float32", [{}]),
+    "png": ("PNG", "uint16", [{}]),
+    "img": ("HFA", "float32", [{}]),
+    "nc": ("netCDF", "float32", [{}]),
+    "gpkg": ("GPKG", "float32", [{}]),
+    "grd": ("GSBG", "float32", [{}]),
+    "bt": ("BT", "float32", [{}]),
+}
+UNPLACED = {"tif": ("f4", "u2", "u1"), "png": ("u2", "u1")}  # types of samples of pictures
+SPARSE = {"driver": "GTiff", "tiled": True, "sparse_ok": True, "bigtiff": "YES"}
+SPARSE |= {"blockxsize": 8192, "blockysize": 8192}
 
 
 @cache
-def pictures(kind: str) -> tuple[bytes, ...]:
-    """Return rasters: with and without a place, of several samples."""
-    from PIL import Image
-
-    found = _placed_pictures(kind) if kind in PLACED else []
-    if kind == "img":
-        return tuple(found)
-    for mode, values in (("F", np.float32), ("I;16", np.uint16), ("L", np.uint8)):
-        stream = io.BytesIO()
-        if mode == "F" and kind == "png":
-            continue
-        Image.fromarray((40 * np.random.default_rng(1).random((6, 5))).astype(values)).save(
-            stream, kind
-        )
-        found.append(stream.getvalue())
+def pictures(ending: str) -> tuple[bytes, ...]:
+    """Return sound rasters: in metres, in degrees, without a place, and sparse of a giant size."""
+    heights, found = np.random.default_rng(3).uniform(1, 4, (8, 8)), []
+    places = {"EPSG:32633": from_origin(5e5, 5e6, 2), "EPSG:4326": from_origin(15, 45, 1e-4)}
+    driver, dtype, options = RASTERS[ending]
+    with TemporaryDirectory() as folder, warnings.catch_warnings(action="ignore"):
+        whole, copy = Path(folder, "whole.tif"), Path(folder, f"copy.{ending}")
+        for option, (crs, place) in product(options, places.items()):
+            geotiff(whole, heights, place, crs=crs, dtype=dtype, nodata=0)
+            rasterio.shutil.copy(whole, copy, driver=driver, **option)
+            found.append(copy.read_bytes())
+        for kind in UNPLACED.get(ending, ()):
+            Image.fromarray((40 * heights).astype(kind)).save(copy)
+            found.append(copy.read_bytes())
+        if ending == "tif":
+            size = {"width": 200_000, "height": 200_000, "count": 1, "dtype": "float32"}
+            with rasterio.open(copy, "w", transform=from_origin(5e5, 5e6, 1), **size, **SPARSE):
+                found.append(copy.read_bytes())
     return tuple(found)
 
 
-def _placed_pictures(kind: str) -> list[bytes]:
-    """Return rasters in metres, in degrees and, of GeoTIFF, a sparse one of a giant size."""
-    with warnings.catch_warnings(action="ignore"):  # of what rasterio is made of
-        rasterio = __import__("rasterio")
-
-    found = []
-    for crs, west, north, cell, size, sparse in (
-        ("EPSG:32633", 500000, 5e6, 2.0, 8, False),
-        ("EPSG:4326", 15, 45, 1e-4, 8, False),
-        ("EPSG:32633", 500000, 5e6, 1.0, 200_000, True),
-    ):
-        if sparse and kind != "tiff":
-            continue
-        with rasterio.MemoryFile() as memory:
-            with memory.open(
-                driver=PLACED[kind],
-                width=size,
-                height=size,
-                count=1,
-                dtype="float32",
-                crs=crs,
-                tiled=sparse,
-                sparse_ok=sparse,
-                transform=rasterio.Affine(cell, 0, west, 0, -cell, north),
-                nodata=-9.0,
-                **({"blockxsize": 8192, "blockysize": 8192, "bigtiff": "YES"} if sparse else {}),
-            ) as file:
-                if not sparse:
-                    file.write(np.random.default_rng(2).random((1, size, size)).astype("f4"))
-            found.append(bytes(memory.getbuffer()))
-    return found
-
-
 def picture(kind: str, rng: Random) -> Case:
+    """Return a raster of a kind that is its ending, mostly damaged."""
     raw = rng.choice(pictures(kind))
-    name = f"ground.{kind.replace('tiff', 'tif')}"
-    return Case(kind, {name: damaged(raw, rng) if rng.random() < 0.9 else raw}, name)
+    return Case(
+        kind, {f"ground.{kind}": damaged(raw, rng) if rng.random() < 0.9 else raw}, f"ground.{kind}"
+    )
+
+
+def mutated_raster(_: str, rng: Random) -> Case:
+    """Return a raster of any format, or an archive of arrays, with mutated bytes."""
+    if rng.random() < 0.85:
+        return picture(rng.choice([*RASTERS]), rng)
+    case = archive("npz", rng)
+    return case._replace(files={name: damaged(raw, rng) for name, raw in case.files.items()})
 
 
 SIDECARS = {
@@ -287,14 +289,14 @@ SIDECARS = {
 }
 
 
-def beside(kind: str, rng: Random) -> Case:
-    """Return a raster of any kind, and what other programs write beside it, damaged or not."""
-    case = picture("tiff" if kind == "sidecar" else kind, rng)
+def beside(_: str, rng: Random) -> Case:
+    """Return a GeoTIFF, and what other programs write beside it, damaged or not."""
+    case = picture("tif", rng)
     names = rng.sample([*SIDECARS], rng.choice([1, 2, 4]))
     files = {f"ground{name}": SIDECARS[name] for name in names}
     for name in files:
         if rng.random() < 0.2:
-            files[name] = rng.choice(pictures("tiff"))
+            files[name] = rng.choice(pictures("tif"))
         if rng.random() < 0.6:
             files[name] = damaged(files[name], rng)
     odd = {name: rng.choice(ODD) for name in files if rng.random() < 0.1}

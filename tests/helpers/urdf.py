@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import adam.numpy
-
 ROUND = (
     '<collision><origin rpy="1.5707963267948966 0 0"/>'
     '<geometry><cylinder radius="{}" length="0.05"/></geometry></collision>'
@@ -120,6 +118,8 @@ def written(folder: Path, parts: str, completion: str | None = None) -> Path:
 
 def adam_model(urdf: str, joints: Sequence[str]) -> Any:
     """Return adam's model of a URDF, completed with all elements that adam requires."""
+    import adam.numpy  # takes a second
+
     robot = ElementTree.fromstring(urdf)
     for each in [*robot.findall("transmission"), *robot.findall("ros2_control")]:
         robot.remove(each)

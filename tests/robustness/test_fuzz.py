@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from helpers.commands import refuses
-from helpers.fuzz_checks import READ, REFUSED, judged
+from helpers.fuzz_checks import READ, REFUSED, judged, judged_silently
 from helpers.fuzz_damage import Case
-from helpers.fuzz_files import KINDS, bases, document, drawn, results
+from helpers.fuzz_files import KINDS, SILENT_KINDS, bases, document, drawn, results
 from helpers.fuzz_written import WRITTEN_KINDS
 from slipfree.cli import app
 from slipfree.core.errors import DataError, ModelError
@@ -61,6 +61,18 @@ def _sound(case: Case, folder: Path) -> None:
 @given(seed=st.integers(0, 2**32))
 def test_every_drawn_file_is_read_or_refused(kind: str, seed: int, tmp_path: Path) -> None:
     _sound(drawn(kind, Random(seed)), tmp_path)
+
+
+@pytest.mark.parametrize("kind", SILENT_KINDS)
+def test_mutants_are_read_or_refused_in_silence(kind: str, tmp_path: Path) -> None:
+    """``python benchmarks fuzz --kinds mutated_urdf,mutated_raster`` reads many, with a limit."""
+    found = []
+    for seed in range(30):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        case = drawn(kind, Random(seed))
+        found.append(judged_silently(case, folder, tmp_path / f"{seed}.txt"))
+    assert {each.name for each in found} == {READ, REFUSED}, found
 
 
 @CAREFUL
