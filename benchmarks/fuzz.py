@@ -29,10 +29,9 @@ from common import apart
 from helpers.fuzz_checks import READ, REFUSED, Verdict, judged, judged_silently
 from helpers.fuzz_files import KINDS, SILENT_KINDS, drawn
 from helpers.fuzz_libraries import LIBRARY_KINDS
-from helpers.fuzz_written import WRITTEN_KINDS
 
 SHARES = {"direct": 4, "inverse": 2, "plan": 2, "vehicle": 3, "result": 2}  # others: 2
-ALL_KINDS = KINDS | LIBRARY_KINDS | WRITTEN_KINDS
+ALL_KINDS = KINDS | LIBRARY_KINDS
 MEMORY = 6 * 2**30  # of addresses that a process may have [B]
 LONGEST = 60.0  # that a case may take, on a busy machine [s]
 MAX_SECONDS = 20.0  # CPU time of a case, with the processes that it starts [s]

@@ -305,24 +305,6 @@ def _broken(name: str, monkeypatch: pytest.MonkeyPatch, raised: BaseException) -
     monkeypatch.setattr(f"slipfree.problem.{name}", fail)
 
 
-@pytest.mark.slow
-def test_run_writes_the_result_and_draws(folder):
-    result = invoke("run", "p.toml", "-v", code=0)
-    for words in (
-        *("ground height ", "three_wheeler: right 0.3 m driven", "path length ", "end position "),
-        *("a lower bound, not a prediction", "wheel front", "contact error", "x the tolerance"),
-        *("certificate  ", "; samples at most ", "steps, "),
-        "wrote p.nc",
-    ):
-        assert words in result.stdout, words
-    assert re.match("outcome +complete\n", result.stdout)
-    motion = netcdf.read("p.nc")
-    assert motion.t[-1] == 0.5
-    assert motion["y"][-1] == pytest.approx(0.5, abs=1e-6)
-    assert motion.attributes["problem"] == PROBLEM
-    assert list((folder / "p_figures").iterdir())
-
-
 @pytest.mark.usefixtures("folder")
 def test_runs_print_the_main_facts_and_info_all_of_them():
     names = ["outcome", "path length", "end position", "slip", "largest angles", "friction"]
@@ -439,20 +421,6 @@ def test_optional_libraries_are_imported_only_when_used(folder):
         [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False
     )
     assert found.returncode == 0, found.stderr
-
-
-@pytest.mark.slow
-def test_as_a_module(folder):
-    def call(*words: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "slipfree", *words]
-        return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-
-    assert call("--version").stdout == f"slipfree {slipfree.__version__}\n"
-    result = call("run", "p.toml", "--no-draw", "-q", "--set", "time.duration=3")
-    assert result.returncode == 1
-    assert "\x1b" not in result.stdout + result.stderr
-    assert len(result.stderr.splitlines()) == 1
-    assert call("run", "p.toml", "--set", "verb=plan").returncode == 2
 
 
 @pytest.mark.slow

@@ -217,10 +217,6 @@ def test_what_is_wrong_with_given_rates(settings: list[str], words: str) -> None
         (["path.y=[0, 1]"], "--set path.y: expected an array of 6 numbers, one for each time in '"),
         (["path.t=", "path.file=way.csv"], "path.toml:8: path.x: expected no array beside 'file'"),
         (["time.duration=6"], "--set time.duration: expected at most the time of the last way-poi"),
-        (
-            [f"path.{name}=[0, 0, 0, 0, 0]" for name in ("t", "x", "y", "heading")],
-            "expected at least 6 way-points, found 5",
-        ),
         (["start.x=0.5"], "path.toml:6: path: expected a path that begins at the position and he"),
     ],
 )
@@ -252,9 +248,6 @@ def test_what_belongs_to_direct_kinematics_is_refused() -> None:
     )
     assert "expected 'compare' for this command, found 'inverse'; use slipfree run p.toml" in (
         refused("compare", "p.toml")
-    )
-    assert "way.csv: expected a separate file, found the input way.csv" in refused(
-        "run", "file.toml", "-o", "way.csv"
     )
 
 

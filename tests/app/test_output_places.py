@@ -175,16 +175,6 @@ def test_a_table_does_not_replace_the_input_of_the_same_name():
     assert Path("x.csv").read_text() == points
 
 
-def test_an_export_does_not_replace_the_path_of_its_problem():
-    Path("way.csv").write_text("x,y\n0,0\n0,1\n0,2\n")
-    path = 'driver={name="follow", speed=0.2, file="way.csv"}'
-    Path("p.toml").write_text(PROBLEM)
-    done = _run("p.toml", "-o", "p.nc", "--no-draw", "--set", path)
-    assert done.exit_code == 0, done.output
-    done = invoke("export", "p.nc", "--path", "way.csv", code=2)
-    assert "way.csv: expected a separate file, found the input" in done.stderr
-
-
 @pytest.mark.parametrize(
     ("words", "file"),
     [

@@ -73,7 +73,6 @@ def test_gravity_weighs_the_soil_that_a_wheel_pushes_aside(file, tmp_path):
     assert (moon["side"][aside] < 0.99 * earth["side"][aside]).all()
     assert "gravity" in done.output
     assert "1.62 m/s^2 (moon)" in done.output
-    assert "found 'mon'; did you mean 'moon'?" in run(file, "--set", "gravity=mon").output
 
 
 def test_measured_points_have_their_own_loads(file, tmp_path):
@@ -95,19 +94,13 @@ def test_measured_points_have_their_own_loads(file, tmp_path):
         assert not (tmp_path / "x.png").exists()
         assert done.exit_code == 0, done.output
         assert words in done.output
-    (tmp_path / "few.csv").write_text("slip,sinkage,load\n0.1,0.01,-3\n")
-    done = run(file, "-o", tmp_path / "x.csv", "--set", "test.measured=few.csv")
-    assert done.exit_code == 2
-    assert "load: expected a finite positive force in N, found -3" in done.output
 
 
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["wheel.radius=-1"], "wheel.radius: expected a number greater than 0, found -1"),
         (["soil.name=mud"], "soil.name: expected one of regolith_simulant"),
         (["test.slip=[0.5, 0.1]"], "test.slip: expected two slip ratios in ascending order"),
-        (["wheel.load=1e5"], "expected a sinkage smaller than the wheel's radius, 0.09 m"),
     ],
 )
 def test_errors_name_the_value(file, tmp_path, settings, words):
@@ -217,7 +210,6 @@ def test_fit_of_a_soil(tested, tmp_path):
     [
         ("[unknowns.shear_along]", "[unknowns.creep]", "expected one of the constants of soil"),
         ('lower = "20 deg"', 'lower = "20 mm"', 'expected a number, or text as in "30 deg"'),
-        ('lower = "20 deg"', "lower = 0.7", "nominal value within the bounds, 0.7 to 1.5708"),
         ('measured = "points.csv"', "", "test.measured: expected a CSV file of measured points"),
         ("folds = 3", "folds = 12", "expected at least 12 runs, for 2 unknowns and 12 folds"),
     ],

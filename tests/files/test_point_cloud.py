@@ -2,7 +2,6 @@
 
 import re
 import sys
-from random import Random
 
 import laspy
 import numpy as np
@@ -150,30 +149,6 @@ def test_the_unit_of_heights_is_that_of_the_file(tmp_path, crs, keys, length, wo
 def test_points_are_refused_with_a_remedy(tmp_path, options, words):
     path = cloud(tmp_path / "a.las", **options)
     refuses(DataError, rf"a\.las: expected .*{words}", read_map, path, spacing=1.0)
-
-
-def refusals(path, files, head):
-    """Return the errors of files with random damage, mostly in the first ``head`` bytes."""
-    rng, refused = Random(4), []
-    for raw in files:
-        data = bytearray(raw)
-        for _ in range(rng.choice([1, 2, 5])):
-            data[rng.randrange(head if rng.random() < 0.7 else len(data))] = rng.randrange(256)
-        path.write_bytes(data if rng.random() < 0.8 else data[: rng.randrange(len(data))])
-        try:
-            read_map(path)
-        except DataError as error:
-            refused.append(str(error))
-    assert all(words.startswith(f"{path}: expected") for words in refused)
-    return refused
-
-
-@pytest.mark.parametrize("ending", ["las", "laz"])
-@pytest.mark.bounded
-def test_damaged_files_are_read_or_refused(tmp_path, ending):
-    raw = cloud(tmp_path / f"a.{ending}", scattered(100)).read_bytes()
-    refused = refusals(tmp_path / f"b.{ending}", [raw] * 4, 600)
-    assert len(refused) > 1
 
 
 @pytest.mark.bounded
@@ -355,13 +330,6 @@ def test_coordinates_beyond_their_digits_are_refused(tmp_path):
             refuses(DataError, words, read_map, path)
         else:
             assert read_map(path, spacing=1.0).grid.y[-1] == 5000020
-
-
-@pytest.mark.parametrize("name", ["a.ply", "a.pcd"])
-def test_randomly_damaged_files_are_read_or_refused(tmp_path, name):
-    make, kinds = (ply, PLY_KINDS) if "ply" in name else (pcd, PCD_KINDS)
-    refused = refusals(tmp_path / name, [make(PLANE[:60], kinds[k % 3]) for k in range(60)], 200)
-    assert len(refused) > 20
 
 
 def test_a_cloud_with_another_ending_is_named(tmp_path):

@@ -8,13 +8,11 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from random import Random
 from typing import Any, NamedTuple
 
 from typer.testing import CliRunner
 
 from helpers.fuzz_damage import Case
-from helpers.fuzz_written import WRITTEN_KINDS, use_written
 from slipfree.cli import app
 from slipfree.cli.console import UNEXPECTED
 from slipfree.core.errors import SlipfreeError
@@ -136,15 +134,14 @@ def _use_result(file: Path, deep: bool) -> None:
     """Look at a result by commands; some of them ask for more than others."""
     name, refused = str(file), []
     commands = [["info", name], ["export", name, "--path", name.replace(".nc", ".geojson")]]
-    if deep:
-        more = [
-            ["info", name, "--problem"],
-            ["export", name, "--rates", f"{name}.csv"],
-            ["report", name],
-            ["show", name, "--html", f"{name}.html"],
-        ]
-        # By the size alone: some of these files cannot be read.
-        commands = [more[file.lstat().st_size % len(more)]]
+    more = [
+        ["info", name, "--problem"],
+        ["export", name, "--rates", f"{name}.csv"],
+        ["report", name],
+        ["show", name, "--html", f"{name}.html"],
+    ]
+    # By the size alone: some of these files cannot be read.
+    commands = [*([] if deep else commands), more[file.lstat().st_size % len(more)]]
     for command in commands:
         result = CliRunner().invoke(app, command)
         if result.exception is not None and not isinstance(result.exception, SystemExit):
@@ -158,12 +155,7 @@ def _use_result(file: Path, deep: bool) -> None:
     read_arrays(file)
 
 
-def _use_written(kind: str) -> Callable[[Path, bool], None]:
-    return lambda file, _: use_written(kind, file, Random(file.lstat().st_size))
-
-
 USES: dict[str, Callable[[Path, bool], None]] = {
-    **{kind: _use_written(kind) for kind in WRITTEN_KINDS},
     **dict.fromkeys(("direct", "inverse", "plan"), _use_problem),
     **dict.fromkeys(("vehicle", "urdf", "mesh"), _use_vehicle),
     "laz": _use_cloud,

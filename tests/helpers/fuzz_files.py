@@ -20,7 +20,6 @@ from pydantic import BaseModel, PlainValidator
 from helpers.fuzz_damage import NUMBERS, ODD, WORDS, Case, damaged, grown, shuffled
 from helpers.fuzz_libraries import LIBRARY_KINDS
 from helpers.fuzz_maps import archive, ascii_grid, beside, cloud, mutated_raster, picture, points
-from helpers.fuzz_written import WRITTEN_KINDS
 from helpers.urdf import FOUR, link
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Outcome, Stop, Trajectory
@@ -42,7 +41,7 @@ Table = dict[str, Any]
 
 def drawn(kind: str, rng: Random) -> Case:
     """Return a case of a kind."""
-    return (KINDS | LIBRARY_KINDS | WRITTEN_KINDS | SILENT_KINDS)[kind](kind, rng)
+    return (KINDS | LIBRARY_KINDS | SILENT_KINDS)[kind](kind, rng)
 
 
 # -------------------------------------------------------------------------------------------- TOML

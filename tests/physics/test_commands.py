@@ -243,25 +243,11 @@ def test_a_path_with_a_heading_is_followed():
     assert np.abs(run["heading_error"][t > 6]).max() < 0.01
 
 
-def test_a_path_is_checked():
-    _, dae = models(VEHICLES["four_wheel_steered"], FLAT)
-    t = np.arange(6.0)
-    with pytest.raises(ModelError, match="expected at least 6 way-points, found 5"):
-        track_path(dae, t[:5], t[:5], t[:5], t[:5])
-    with pytest.raises(ModelError, match="expected increasing times, found 5 s followed by 4 s"):
-        track_path(dae, t[::-1], t, t, t)
-
-
 def test_exactness_is_refused_in_words_that_name_the_remedy():
-    vehicle = VEHICLES["four_wheel_steered"]
     with pytest.raises(
         ModelError, match=r"no more given rates than driven wheels \(2\).*or set exact = false"
     ):
         inverse_kinematics(VEHICLES["ackermann"], FLAT, given=tuple(COMMANDS))
-    dae = inverse_kinematics(vehicle, FLAT, given=("right",))
-    stand = settle(direct_kinematics(vehicle, FLAT))
-    with pytest.raises(ModelError, match="no equation determines multiplier_right"):
-        trim_states(dae, stand, dae.inputs(right=0.0), states=[], least=[])
 
 
 FOUR_WHEELS = (DATA / "crab.toml").read_text()

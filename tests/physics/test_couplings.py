@@ -223,6 +223,9 @@ def test_a_formula_tells_what_it_depends_on():
         ("1j*a", "found '1j'"),
         ("(" * 300 + "a" + ")" * 300, "found '(((("),
         ("a\0", "found 'a"),
+        ("not " * 240 + "a", "found 'not "),
+        ("a" + ".b" * 450, "found 'a.b"),
+        ("'\\d'", "found \"'"),
         ("9" * 400, "found '9999"),
     ],
 )

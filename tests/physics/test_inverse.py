@@ -362,6 +362,7 @@ def test_paths_are_checked():
         ("expected at least 6 way-points, found 5", dae, (still[:5], t[:5], still[:5]), t[:5]),
         (r"expected 11 values each of x, y and heading, .*\(5,\)", dae, (still, t, still[:5]), t),
         ("expected finite times and values", dae, (still * np.nan, t, still), t),
+        ("expected increasing times, found 1 s followed by 0.9 s", dae, (still, t, still), t[::-1]),
         ("expected an inverse model with the inputs velocity_x", other, (still, t, still), t),
     ):
         refuses(ModelError, words, path_inputs, model, begin, times, *path)

@@ -261,6 +261,4 @@ def test_what_is_no_window_period_world_or_state_is_refused(found, window):
         ((first._replace(t=1.0), 0.5, start), "expected a time t of at least 1 s"),
     ):
         refuses(sf.ModelError, words, replan, window, *given)
-    with pytest.raises(sf.SolverError, match="the inputs of the previous cycle may still be used"):
-        replan(window, first, 0.0, start + np.array([0, 1e308, 0, 0]))
     assert replan(window, first, 0.0, start).violation < 1e-6
