@@ -19,9 +19,8 @@ import pyproj
 
 from helpers.drives import WHEELS, four_wheels
 from slipfree.fit.drive_fit import WindowKind, by_logs, judge, rms
-from slipfree.fit.drives import DriveLog, Slopes
+from slipfree.fit.drives import DriveLog, Model, Slopes
 from slipfree.fit.estimate import Unknown
-from slipfree.fit.prediction import Model
 from slipfree.problem.verbs.fit import constant_rows
 from slipfree.terrain.base import Grid
 

@@ -30,17 +30,18 @@ import common  # noqa: F401 - path of the helpers of tests
 import numpy as np
 
 from helpers.drives import WHEELS, four_wheels
-from slipfree.fit.drive_fit import (
-    DriveFit,
-    age_priors,
-    fit_drives,
-    folds_of,
-    manoeuvres_of,
-    rms,
+from slipfree.fit.drive_fit import DriveFit, age_priors, fit_drives, folds_of, manoeuvres_of, rms
+from slipfree.fit.drives import (
+    DriveLog,
+    Lanes,
+    Model,
+    Predictor,
+    Windows,
+    held_for,
+    windows_of,
+    without_holds,
 )
-from slipfree.fit.drives import DriveLog, Windows, held_for, windows_of, without_holds
 from slipfree.fit.estimate import BALANCE, Unknown
-from slipfree.fit.prediction import Lanes, Model, Predictor
 from slipfree.fit.wheel_soil import QUANTITIES, fit_soil, repeat_spread
 from slipfree.laws.soil import Soil, WheelSize, forces_at_slip, known_soil
 from slipfree.models.single_wheel import WheelRuns, motion_at_slip

@@ -52,11 +52,11 @@ from .terrain.analytic import Analytic as Analytic
 from .terrain.base import Grid as Grid
 from .terrain.bicubic import Bicubic as Bicubic
 from .terrain.solids import Solids as Solids
-from .vehicle.gravity import in_gravity as in_gravity
 from .vehicle.tree import Body as Body
 from .vehicle.tree import Coordinate as Coordinate
 from .vehicle.tree import Joint as Joint
 from .vehicle.tree import Vehicle as Vehicle
+from .vehicle.tree import in_gravity as in_gravity
 from .vehicle.tree import planar as planar
 from .vehicle.wheel import Motor as Motor
 from .vehicle.wheel import Rate as Rate

@@ -18,8 +18,7 @@ from helpers.commands import printed, refuses
 from slipfree import DataError, catalog
 from slipfree.core.records import Array
 from slipfree.files.toml import ProblemError
-from slipfree.fit.drives import DriveLog
-from slipfree.fit.prediction import lanes_of
+from slipfree.fit.drives import DriveLog, lanes_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.fit import _Reader, inputs_of, model_of
 from slipfree.problem.verbs.inverse import _points, _read_file

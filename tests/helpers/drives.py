@@ -10,10 +10,9 @@ import numpy as np
 
 from slipfree.core.records import Array
 from slipfree.fit.drive_fit import Scale, fit_drives
-from slipfree.fit.drives import DriveLog, windows_of
+from slipfree.fit.drives import DriveLog, Model, Predictor, windows_of
 from slipfree.fit.estimate import Unknown
 from slipfree.fit.force_balance import Chassis
-from slipfree.fit.prediction import Model, Predictor
 from slipfree.terrain.base import Grid
 
 AXIS = np.arange(-40.0, 41.0)

@@ -49,7 +49,15 @@ from slipfree.fit.drive_fit import (
     judge,
     manoeuvres_of,
 )
-from slipfree.fit.drives import DriveLog, Slopes, age_of_poses, held_for, windows_of, without_holds
+from slipfree.fit.drives import (
+    DriveLog,
+    Predictor,
+    Slopes,
+    age_of_poses,
+    held_for,
+    windows_of,
+    without_holds,
+)
 from slipfree.fit.estimate import Unknown
 from slipfree.fit.force_balance import (
     Chassis,
@@ -60,7 +68,6 @@ from slipfree.fit.force_balance import (
     with_dimensions,
 )
 from slipfree.fit.force_balance import simulate as simulate_lanes
-from slipfree.fit.prediction import Predictor
 from slipfree.terrain.base import Grid
 from slipfree.vehicle.tree import body_inertia
 from slipfree.vehicle.wheel import wheel_inertia

@@ -15,8 +15,16 @@ from slipfree.models.rigid_dynamics import rigid_dynamics
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build
 from slipfree.terrain.solids import step
-from slipfree.vehicle.gravity import BODIES, foreign_map_words, gravity_of, gravity_words
-from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint
+from slipfree.vehicle.tree import (
+    BODIES,
+    EARTH_GRAVITY,
+    Body,
+    Coordinate,
+    Joint,
+    foreign_map_words,
+    gravity_of,
+    gravity_words,
+)
 
 HILLS = sf.Analytic(lambda x, y: 0.05 * ca.sin(x) + 0.03 * x * y + 0.04 * y, mu=0.6)
 MOON = BODIES["moon"].gravity
@@ -61,10 +69,8 @@ def test_a_map_of_another_body_with_the_gravity_of_the_earth_is_noted(tmp_path):
         'vehicle = { catalog = "skid_steer", mass = 20.0 }\nstart = { x = 0.0, y = 0.0 }\n'
         'driver = { name = "straight", speed = 0.5 }\ntime = { duration = 1, step = 0.5 }\n'
     )
-    for settings, expected in (
-        ([], f"9.81 m/s^2 (earth){words}"),
-        (["gravity=moon"], "1.62 m/s^2 (moon)"),
-    ):
+    noted = {(): f"9.81 m/s^2 (earth){words}", ("gravity=moon",): "1.62 m/s^2 (moon)"}
+    for settings, expected in noted.items():
         facts = dict(build(load_problem(tmp_path / "p.toml", settings)).facts)
         assert facts["gravity"] == expected
 
@@ -73,10 +79,7 @@ def test_a_map_of_another_body_with_the_gravity_of_the_earth_is_noted(tmp_path):
     ("value", "words"),
     [
         (0, "expected a positive, finite number in m.s.2, .*found 0; change it"),
-        (-1.62, "found -1.62"),
-        (inf, "found inf"),
-        (nan, "found float nan"),
-        (True, "found bool True"),
+        *((value, f"found.* {value}") for value in (-1.62, inf, nan, True)),
         ("mon", "one of the bodies earth, moon.*found 'mon'; did you mean 'moon'"),
         ("qqq", "found 'qqq'; give the number"),
     ],
@@ -85,9 +88,7 @@ def test_other_gravities_are_errors(value, words):
     with pytest.raises(sf.ModelError, match=words):
         sf.in_gravity(cart(), value)
     if isinstance(value, float):
-        with pytest.raises(
-            sf.ModelError, match=r"gravity: expected a (positive, )?(finite )?number"
-        ):
+        with pytest.raises(sf.ModelError, match=r"gravity: expected a (positive, |finite )*number"):
             replace(cart(), gravity=value)
 
 

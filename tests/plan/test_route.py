@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.sparse.csgraph import dijkstra
 
 from helpers.cases import box
 from helpers.commands import refuses
@@ -184,11 +183,11 @@ def test_bad_options_are_refused():
 
 
 def test_grid_search_is_at_most_2_8_percent_long():
-    graph = search._graph(plain(spacing=0.5)._replace(cost=np.ones((1, 41, 41))))
-    lengths = dijkstra(graph, indices=0).reshape(41, 41)
+    layers = plain(spacing=0.5)._replace(cost=np.ones((1, 41, 41)))
     for angle in np.linspace(0, np.pi / 2, 7):
         i, j = round(40 * math.cos(angle)), round(40 * math.sin(angle))
-        assert 1 - 1e-6 <= lengths[i, j] / (0.5 * math.hypot(i, j)) <= 1.028
+        ends = np.array([[layers.x[0], layers.y[0]], [layers.x[i], layers.y[j]]])
+        assert 1 - 1e-6 <= length(search._search(layers, *ends)) / length(ends) <= 1.028
 
 
 @pytest.mark.parametrize("angle", [0.0, 1.1])

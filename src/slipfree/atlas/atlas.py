@@ -557,21 +557,17 @@ def _quantities(
         # margins of checks are only bounds
         if check.label.name == CLEARANCE.name and evaluator.computes(CLEARANCE.name):
             bands[CLEARANCE.name] = check.margin(*many.columns_of(graphs, states)[:2])
-    return bands | _friction_bands(evaluator, states, tolerance)
-
-
-def _friction_bands(evaluator: PoseEvaluator, states: Array, tolerance: float) -> dict[str, Array]:
-    """Return the bounds of the least friction, if forces hold the vehicle by friction."""
-    graphs = evaluator.more.graphs
-    if graphs.hold is None or evaluator.least is None:
-        return {}
-    values = evaluator.more(graphs.hold, states)
-    terms = Terms(*(values[part] for part in graphs.hold.parts))
-    if graphs.friction is None:
-        bounds = least_friction_of_loads(terms, tolerance)
-    else:
-        bounds = least_friction(evaluator.more, graphs.friction, terms, tolerance)
-    return {label.name: bound for label, bound in zip(evaluator.least, bounds, strict=True)}
+    more = evaluator.more.graphs
+    if more.hold is not None and evaluator.least is not None:  # forces hold it by friction
+        entries = evaluator.more(more.hold, states)
+        terms = Terms(*(entries[part] for part in more.hold.parts))
+        if more.friction is None:
+            bounds = least_friction_of_loads(terms, tolerance)
+        else:
+            bounds = least_friction(evaluator.more, more.friction, terms, tolerance)
+        names = (label.name for label in evaluator.least)
+        bands |= zip(names, bounds, strict=True)
+    return bands
 
 
 def _proved_bands(evaluator: PoseEvaluator, states: Array, error: float) -> dict[str, Array]:
@@ -721,8 +717,18 @@ def summary(
     if least is not None:
         maps += _friction_maps(poses, least, frame)
     for label, values in poses.bands.values():
-        if label not in (REASON, *(least or ())):
-            maps += _extremes(label, values)
+        if label in (REASON, *(least or ())):
+            continue
+        # the smallest value of margins, both of signed quantities, or the largest magnitude
+        extremes = {"largest magnitude": np.fmax.reduce(np.abs(values))}
+        if label.name == SIGNED or label.name.startswith(SMALLEST):
+            extremes = {"smallest value": np.fmin.reduce(values)}
+        if label.name == SIGNED:
+            extremes["largest value"] = np.fmax.reduce(values)
+        for kind, extreme in extremes.items():
+            name = f"{label.name}_{kind.split()[0]}"
+            new = Label(name, label.unit, f"{kind} over the headings: {label.words}")
+            maps.append(Band(new, extreme))
     maps.append(Band(ELEVATION, elevation))
     return {band.label.name: band for band in maps}
 
@@ -748,21 +754,3 @@ def _friction_maps(poses: Atlas, least: tuple[Label, Label], frame: str) -> Sequ
         label = Label(f"heading_{name}", "degree", f"{words}; {label.words}")
         maps.append(Band(label, np.mod(np.rad2deg(turned), 360.0)))
     return maps
-
-
-def _extremes(label: Label, values: Array) -> Iterator[Band]:
-    """Yield the smallest value of margins, both of signed quantities, or the largest magnitude."""
-    kinds = ["magnitude"]
-    if label.name.startswith(SMALLEST):
-        kinds = ["smallest"]
-    elif label.name == SIGNED:
-        kinds = ["smallest", "largest"]
-    for kind in kinds:
-        if kind == "smallest":
-            extreme = np.fmin.reduce(values)
-        else:
-            extreme = np.fmax.reduce(np.abs(values) if kind == "magnitude" else values)
-        words = "largest magnitude" if kind == "magnitude" else f"{kind} value"
-        name = f"{label.name}_{'smallest' if kind == 'smallest' else 'largest'}"
-        new = Label(name, label.unit, f"{words} over the headings: {label.words}")
-        yield Band(new, extreme)

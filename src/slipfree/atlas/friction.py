@@ -92,10 +92,17 @@ def friction_graphs(pattern: ca.Sparsity) -> FrictionGraphs:
     """Return the graphs of the search for a matrix ``A`` of a given pattern."""
     rows = rows_of(pattern)
     column = ca.SX.sym("column", rows.forces.stop)
-    start, step = _start(column, rows, pattern), _step(column, rows, pattern)
+    wheels, load = _Wheels(column, rows, pattern), column[rows.load]
+    # the start: a translation along the mean normal of the wheels
+    normal = reduce(ca.plus, (block[2, :3].T for block in wheels.blocks))
+    y = ca.vertcat(normal / ca.norm_2(normal), ca.SX.zeros(load.numel() - 3))
+    y = ca.densify(y * (wheels.count / -ca.dot(load, y)))
+    steepest = reduce(ca.fmax, (_tangential(s) / s[2] ** 2 for s in wheels.slips(y)))
+    level = ca.fmin(FIRST_LEVEL, START_SHARE / ca.sqrt(steepest + 1e-12))
+    start = ca.vertcat(y, level, 0, UNKNOWN, 0, ca.SX.zeros(3 * wheels.count))
     graphs = [
         Graph(name, ca.Function(name, [column, ca.SX(0, 1)], [result], {"cse": True}), (), (), ())
-        for name, result in (("start", start), ("step", step))
+        for name, result in (("start", start), ("step", _step(column, rows, pattern)))
     ]
     return FrictionGraphs(pattern, *graphs)
 
@@ -116,18 +123,6 @@ class _Wheels:
         """Return the generalised forces ``A' f``."""
         terms = (block.T @ force for block, force in zip(self.blocks, forces, strict=True))
         return ca.densify(reduce(ca.plus, terms))
-
-
-def _start(column: ca.SX, rows: SearchRows, pattern: ca.Sparsity) -> ca.SX:
-    """Return the column at the start: a translation along the mean normal of the wheels."""
-    wheels, load = _Wheels(column, rows, pattern), column[rows.load]
-    normal = reduce(ca.plus, (block[2, :3].T for block in wheels.blocks))
-    y = ca.vertcat(normal / ca.norm_2(normal), ca.SX.zeros(load.numel() - 3))
-    y = ca.densify(y * (wheels.count / -ca.dot(load, y)))
-    steepest = reduce(ca.fmax, (_tangential(s) / s[2] ** 2 for s in wheels.slips(y)))
-    level = ca.fmin(FIRST_LEVEL, START_SHARE / ca.sqrt(steepest + 1e-12))
-    bounds = ca.vertcat(level, 0, UNKNOWN, 0)
-    return ca.vertcat(y, bounds, ca.SX.zeros(3 * wheels.count))
 
 
 def _step(column: ca.SX, rows: SearchRows, pattern: ca.Sparsity) -> ca.SX:
@@ -168,7 +163,11 @@ def _step(column: ca.SX, rows: SearchRows, pattern: ca.Sparsity) -> ca.SX:
         bound = ca.if_else(valid, ca.sqrt(used), UNKNOWN)
         best = ca.if_else(bound < high, ca.vertcat(*forces), best)
         high = ca.fmin(high, bound)
-    following = _next_level(level, low, high)
+    # the next level: above a known upper bound, at which forces surely exist
+    above = high + LEVEL_SHARE * ca.fmin(high - low, ca.fmax(level - high, 0))
+    lowest = ca.fmax(SMALLEST_LEVEL, low + RELATIVE_GAP * (low + GAP_OFFSET))
+    above = ca.fmax(ca.fmax(above, low + LEVEL_SHARE * (level - low)), lowest)
+    following = ca.fmin(level, above)
     ratio = ca.fmin(ca.fmax(height / ca.fmax(following - low, 1e-12), 1), PATH_STEP)
     move = newton - path * (height * (ratio - 1))
     moved = y + _length_inside(wheels, slips, move, following) * move
@@ -207,14 +206,6 @@ class _Cone:
 
 def _tangential(slip: ca.SX) -> ca.SX:
     return slip[0] ** 2 + slip[1] ** 2
-
-
-def _next_level(level: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
-    """Return the next level: above a known upper bound, at which forces surely exist."""
-    above = high + LEVEL_SHARE * ca.fmin(high - low, ca.fmax(level - high, 0))
-    least = ca.fmax(SMALLEST_LEVEL, low + RELATIVE_GAP * (low + GAP_OFFSET))
-    following = ca.fmax(ca.fmax(above, low + LEVEL_SHARE * (level - low)), least)
-    return ca.fmin(level, following)
 
 
 def _length_inside(wheels: _Wheels, slips: list[ca.SX], move: ca.SX, level: ca.SX) -> ca.SX:

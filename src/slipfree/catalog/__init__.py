@@ -461,12 +461,16 @@ def described(name: str, keywords: Mapping[str, Any]) -> Vehicle:
             known |= {f"{key}_{axis}": each for axis, each in zip("xyz", value, strict=True)}
     for key, value in table.get("let", {}).items():
         known[key] = _value("", value, known)
-    common = table.get("wheel", {})
+    wheels = list[Wheel]()
+    for row in _rows(({**table.get("wheel", {}), **row} for row in table["wheels"]), known):
+        section = section_of_radii(*row.pop("radii"), rollers=row.pop("rollers", None))
+        drive = DRIVES[row.pop("drive", "rate")]()
+        wheels.append(Wheel(**row, section=section, drive=drive))
     return Vehicle(
         name,
         tuple(Coordinate(**row) for row in _rows(table.get("coordinates", ()), known)),
         tuple(Joint(body=_body(row), **row) for row in _rows(table.get("joints", ()), known)),
-        tuple(map(_wheel, _rows(({**common, **row} for row in table["wheels"]), known))),
+        tuple(wheels),
         _body({key: _value(key, value, known) for key, value in table["body"].items()}),
         planar=table.get("planar", False),
     )
@@ -504,13 +508,6 @@ def _body(row: dict[str, Any]) -> Body:
     """Return the body of a row, whose keys are removed; without mass, it has no inertia."""
     mass, inertia = row.pop("mass", 0.0), row.pop("inertia", None)
     return Body(mass, row.pop("center_of_mass", (0.0, 0.0, 0.0)), inertia if mass else None)
-
-
-def _wheel(row: dict[str, Any]) -> Wheel:
-    section = section_of_radii(*row.pop("radii"), rollers=row.pop("rollers", None))
-    if "drive" in row:
-        row["drive"] = DRIVES[row["drive"]]()
-    return Wheel(**row, section=section)
 
 
 AXLES = ("rear", "middle", "front")

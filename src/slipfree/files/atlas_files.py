@@ -193,53 +193,48 @@ def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
             f"{path}: expected bands of at most {MAX_BYTES / 1e9:.3g} GB, found "
             f"{largest / 1e9:.3g} GB; write a GeoTIFF instead, or use fewer headings or nodes"
         )
-    with replacing(Path(path)) as part, scipy.io.netcdf_file(str(part), "w", version=2) as file:
-        _define(file, poses, site)
-
-
-def _define(file: Any, poses: Atlas, site: Site) -> None:
-    """Write the axes, the ground and the bands of an atlas into an open netCDF file."""
     conditions = {name: getattr(site, name) for name in CONDITIONS}
     own = {"Conventions": netcdf.CONVENTIONS, netcdf.ORIGIN: __version__, FRAME: site.frame}
     own[netcdf.ATLAS] = json.dumps({**conditions, "bands": [*poses.bands]})
-    netcdf.annotate(file, {**site.attributes, **own})
+    with replacing(Path(path)) as part, scipy.io.netcdf_file(str(part), "w", version=2) as file:
+        netcdf.annotate(file, {**site.attributes, **own})
 
-    def add(label: Label, dimensions: Sequence[str], values: Array, kind: str) -> Any:
-        variable = file.createVariable(label.name, kind, tuple(dimensions))
-        variable[:] = values
-        netcdf.annotate(variable, {"units": label.unit, "long_name": label.words})
-        return variable
+        def add(label: Label, dimensions: Sequence[str], values: Array, kind: str) -> Any:
+            variable = file.createVariable(label.name, kind, tuple(dimensions))
+            variable[:] = values
+            netcdf.annotate(variable, {"units": label.unit, "long_name": label.words})
+            return variable
 
-    places = (
-        Column(Label(n, "m", f"{n} of the platform's centre"), getattr(poses, n)) for n in "yx"
-    )
-    for label, values in (heading_column(poses.heading, site.frame), *places):
-        file.createDimension(label.name, values.size)
-        variable = add(label, [label.name], values, "f8")
-        if label.unit == "m":
-            variable.axis = label.name.upper()
-    mapped = {}
-    if site.crs:
-        mapping = file.createVariable(netcdf.CRS, "i4", ())
-        mapping[...] = 0
-        netcdf.annotate(mapping, netcdf.grid_mapping(site.crs))
-        named = {each.axis: each.name for each in site.coordinates}
-        labels = [netcdf.map_label(named.get(axis, axis), site.crs) for axis in "xy"]
-        for axis, label in zip("xy", labels, strict=True):
-            variable = add(label, [axis], site.on_map(axis, getattr(poses, axis)), "f8")
-            netcdf.annotate(variable, netcdf.standard_name(label.name))
-        names = " ".join(label.name for label in labels)
-        mapped = {"coordinates": names, "grid_mapping": netcdf.CRS}
-    netcdf.annotate(add(ELEVATION, DIMENSIONS[1:], site.elevation[:, :].T, "f8"), mapped)
-    for name, (label, values) in poses.bands.items():
-        kind = "i2" if name == REASON.name else "f4"
-        variable = add(label, DIMENSIONS, values.swapaxes(1, 2), kind)
-        netcdf.annotate(variable, {**netcdf.standard_name(name), **mapped})
-    reason, codes = file.variables[REASON.name], np.arange(len(poses.reasons), dtype="i2")
-    slugs = (re.sub(r"[^\w.+@-]+", "_", words).strip("_") for words in poses.reasons)
-    meanings = {"flag_meanings": " ".join(slugs), REASONS: json.dumps(poses.reasons)}
-    netcdf.annotate(reason, meanings)
-    reason.flag_values = codes
+        places = (
+            Column(Label(n, "m", f"{n} of the platform's centre"), getattr(poses, n)) for n in "yx"
+        )
+        for label, values in (heading_column(poses.heading, site.frame), *places):
+            file.createDimension(label.name, values.size)
+            variable = add(label, [label.name], values, "f8")
+            if label.unit == "m":
+                variable.axis = label.name.upper()
+        mapped = {}
+        if site.crs:
+            mapping = file.createVariable(netcdf.CRS, "i4", ())
+            mapping[...] = 0
+            netcdf.annotate(mapping, netcdf.grid_mapping(site.crs))
+            named = {each.axis: each.name for each in site.coordinates}
+            labels = [netcdf.map_label(named.get(axis, axis), site.crs) for axis in "xy"]
+            for axis, label in zip("xy", labels, strict=True):
+                variable = add(label, [axis], site.on_map(axis, getattr(poses, axis)), "f8")
+                netcdf.annotate(variable, netcdf.standard_name(label.name))
+            names = " ".join(label.name for label in labels)
+            mapped = {"coordinates": names, "grid_mapping": netcdf.CRS}
+        netcdf.annotate(add(ELEVATION, DIMENSIONS[1:], site.elevation[:, :].T, "f8"), mapped)
+        for name, (label, values) in poses.bands.items():
+            kind = "i2" if name == REASON.name else "f4"
+            variable = add(label, DIMENSIONS, values.swapaxes(1, 2), kind)
+            netcdf.annotate(variable, {**netcdf.standard_name(name), **mapped})
+        reason, codes = file.variables[REASON.name], np.arange(len(poses.reasons), dtype="i2")
+        slugs = (re.sub(r"[^\w.+@-]+", "_", words).strip("_") for words in poses.reasons)
+        meanings = {"flag_meanings": " ".join(slugs), REASONS: json.dumps(poses.reasons)}
+        netcdf.annotate(reason, meanings)
+        reason.flag_values = codes
 
 
 def open_atlas(path: str | os.PathLike[str]) -> tuple[Atlas, Site]:

@@ -35,15 +35,16 @@ class Format(NamedTuple):
         return remedies.get(purpose, "") or self.packed
 
 
-def _read_formats() -> Iterator[Format]:
-    for row in TABLE["formats"]:
-        endings, roots = (tuple(row.get(key, "").split()) for key in ("endings", "roots"))
-        remedies = (REMEDIES.get(row.get(key, ""), row.get(key, "")) for key in Format._fields[4:])
-        magic = tuple(text.encode("latin1") for text in row.get("magic", ()))
-        yield Format(row["name"], endings, roots, magic, *remedies)
-
-
-FORMATS = tuple(_read_formats())
+FORMATS = [
+    Format(
+        row["name"],
+        tuple(row.get("endings", "").split()),
+        tuple(row.get("roots", "").split()),
+        tuple(text.encode("latin1") for text in row.get("magic", ())),
+        *(REMEDIES.get(row.get(key, ""), row.get(key, "")) for key in Format._fields[4:]),
+    )
+    for row in TABLE["formats"]
+]
 
 
 def check_ending(path: Path, purpose: Purpose, expected: str, read: tuple[str, ...] = ()) -> None:

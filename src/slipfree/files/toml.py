@@ -34,7 +34,7 @@ from pydantic_core import PydanticCustomError
 
 from slipfree.core.arguments import MAX_NUMBER, WithUnit, degrees_question
 from slipfree.core.errors import DataError, listed, read_table, shortened, similar
-from slipfree.core.schema import Key, keys_of, meanings
+from slipfree.core.schema import keys_of, meanings
 from slipfree.system.regular_files import escape_name, read_bytes, regular_file
 
 Place = tuple[str | int, ...]
@@ -163,7 +163,11 @@ def key_lines(text: str) -> Mapping[Place, int]:
             continue
         key = key_path(match[1])
         if depth:
-            table = _resolved(key[: len(key) - (depth == 2)], counts)
+            table = ()
+            for part in key[: len(key) - (depth == 2)]:
+                table = (*table, part)
+                if table in counts:  # an array of tables: its last element
+                    table = (*table, counts[table])
             if depth == 2:
                 table = (*table, key[-1])
                 lines.setdefault(table, line)
@@ -172,30 +176,14 @@ def key_lines(text: str) -> Mapping[Place, int]:
         place = table if depth else (*table, *key)
         for end in range(1, len(place) + 1):
             lines.setdefault(place[:end], line)
-        tables = _inline_tables(statement[match.end() :]) if "{" in statement else ()
-        for index, below in enumerate(tables):
-            lines.setdefault((*place, index), line + below)
+        level = index = 0
+        for piece in PIECE.findall(statement[match.end() :]) if "{" in statement else ():
+            if piece == "{" and level == 1:  # an inline table of an array
+                lines.setdefault((*place, index), line)
+                index += 1
+            level += (piece in "[{") - (piece in "]}")
+            line += piece.count("\n")
     return lines
-
-
-def _inline_tables(value: str) -> Iterator[int]:
-    """Yield the lines of the inline tables of an array, which count from that of the array."""
-    line = depth = 0
-    for piece in PIECE.findall(value):
-        if piece == "{" and depth == 1:
-            yield line
-        depth += (piece in "[{") - (piece in "]}")
-        line += piece.count("\n")
-
-
-def _resolved(key: tuple[str, ...], counts: Mapping[Place, int]) -> Place:
-    """Return the keys of a table, with the index of the last element after each array of tables."""
-    place: Place = ()
-    for part in key:
-        place = (*place, part)
-        if place in counts:
-            place = (*place, counts[place])
-    return place
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
@@ -592,16 +580,16 @@ def record_of(
     meaning: str = "",
 ) -> type[Any]:
     """Return the record of a dataclass or function, with the keys of ``base`` before its own."""
-    keys: dict[str, Any] = {
-        key.name: (
-            _toml_type(key),
-            Field(
-                default=... if key.default is MISSING else key.default, description=key.description
-            ),
-        )
-        for key in keys_of(kind)
-        if key.name not in omitted
-    }
+    keys: dict[str, Any] = {}
+    for key in keys_of(kind):
+        if key.name not in omitted:
+            plain = getattr(key.hint, "__origin__", key.hint)
+            read = ANGULAR.get(key.unit, (Field(),))
+            if tuple in (plain, get_origin(plain)):
+                read = (Field(strict=False),)
+            default = ... if key.default is MISSING else key.default
+            known = Field(default=default, description=key.description)
+            keys[key.name] = Annotated[key.hint, *read], known
     meaning = meaning or (kind.__doc__ or "").partition("\n")[0]
     name = kind.__name__
     name = name if isinstance(kind, type) else name.title().replace("_", "")
@@ -612,13 +600,6 @@ def decoded(kind: Callable[..., Any]) -> Any:
     """Return the type of a table that is decoded into a dataclass with annotated fields."""
     made = AfterValidator(lambda table: kind(**given_values(table)))
     return Annotated[record_of(kind), made]
-
-
-def _toml_type(key: Key) -> Any:
-    plain = getattr(key.hint, "__origin__", key.hint)
-    if tuple in (plain, get_origin(plain)):
-        return Annotated[key.hint, Field(strict=False)]
-    return Annotated[key.hint, *ANGULAR.get(key.unit, (Field(),))]
 
 
 def given_values(table: Record) -> dict[str, Any]:

@@ -21,7 +21,16 @@ import numpy as np
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, Mask, Names
-from slipfree.fit.drives import DriveLog, Slopes, Windows, age_of_poses, windows_of
+from slipfree.fit.drives import (
+    DriveLog,
+    Model,
+    Predictor,
+    Slopes,
+    WindowErrors,
+    Windows,
+    age_of_poses,
+    windows_of,
+)
 from slipfree.fit.estimate import (
     BALANCE,
     MIN_ACCEPTED,
@@ -38,7 +47,6 @@ from slipfree.fit.estimate import (
     check_nominal,
     inner_bounds,
 )
-from slipfree.fit.prediction import Model, Predictor, WindowErrors
 from slipfree.system.interrupt import interrupt_requested
 
 FIRST_DEVIATIONS = 0.25, 0.25, 0.15  # of errors before they are known [m, m, rad]
@@ -156,9 +164,18 @@ def fit_drives(
             f"{count}, three for each window; use longer logs, shorter windows or fewer unknowns"
         )
     errors = _Errors(predict, scale, sought.scales)
-    values = sought.nominal if start is None else scale.sought(start)
-    if start is None:
-        values = _with_ages(model, predict, sought, scale)
+    values = sought.nominal.copy() if start is None else scale.sought(start)
+    ages = [k for k, each in enumerate(model.unknowns) if each.quantity == "age" and start is None]
+    values[ages] = sought.priors.mean[ages]
+    if rows := [k for k in ages if not model.unknowns[k].prior]:
+        # search from the ages of poses at which the nominal motion is nearest
+        many = np.repeat(values[None], AGES.size, axis=0)
+        many[:, rows] = AGES[:, None]
+        missed = predict.errors(scale.values(many)) / np.array(FIRST_DEVIATIONS)
+        cost, names = np.sqrt(1 + missed**2).sum(axis=2), predict.names["campaign"]
+        for k in rows:
+            own = (names == model.unknowns[k].of) | (not model.unknowns[k].of)
+            values[k] = max(float(AGES[int(cost[own].sum(axis=0).argmin())]), 0.01)
     spread = np.array(FIRST_DEVIATIONS) if deviations is None else deviations
     none = np.zeros((predict.windows.log.size, 3))
     is_interrupted = False
@@ -195,24 +212,6 @@ def age_priors(unknowns: Sequence[Unknown], logs: Sequence[DriveLog]) -> tuple[U
         return replace(unknown, prior=(float(np.mean(ages)), AGE_DEVIATION))
 
     return tuple(map(known, unknowns))
-
-
-def _with_ages(model: Model, predict: Predictor, sought: Sought, scale: Scale) -> Array:
-    """Return nominal values with the ages of poses at which the nominal motion is nearest."""
-    ages = [k for k, each in enumerate(model.unknowns) if each.quantity == "age"]
-    values = sought.nominal.copy()
-    values[ages] = sought.priors.mean[ages]
-    if not (rows := [k for k in ages if not model.unknowns[k].prior]):
-        return values
-    many = np.repeat(values[None], AGES.size, axis=0)
-    many[:, rows] = AGES[:, None]
-    missed = predict.errors(scale.values(many)) / np.array(FIRST_DEVIATIONS)
-    cost = np.sqrt(1 + missed**2).sum(axis=2)
-    names = predict.names["campaign"]
-    for k in rows:
-        own = (names == model.unknowns[k].of) | (not model.unknowns[k].of)
-        values[k] = max(float(AGES[int(cost[own].sum(axis=0).argmin())]), 0.01)
-    return values
 
 
 def fit_on_uncertain_map(
@@ -412,7 +411,19 @@ def judge(
             if is_out.any() and not is_out.all():
                 fitted = Fitted.of(fit, logs, own.take(~is_out), slopes)
                 folded[kind].append(score_windows(fit, fitted, logs, own.take(is_out), slopes))
-    return whole, rests, {kind: _joined(each) for kind, each in folded.items() if each}
+    scores = {}
+    for kind, each in folded.items():
+        if each:
+            errors, left_out, grade, is_beyond, reach, campaigns = zip(*each, strict=True)
+            scores[kind] = Score(
+                WindowErrors(*map(np.concatenate, zip(*errors, strict=True))),
+                Windows(*map(np.concatenate, zip(*left_out, strict=True))),
+                np.concatenate(grade),
+                np.concatenate(is_beyond),
+                np.hstack(reach),
+                min(campaigns),
+            )
+    return whole, rests, scores
 
 
 def score_kinds(
@@ -425,16 +436,6 @@ def score_kinds(
 
     The age of their poses is what a measured turning rate shows, otherwise the mean of the fit.
     """
-    known = _with_campaigns(known, logs)
-    return {
-        kind: score_windows(known, fitted, logs, windows, slopes)
-        for kind, fitted in rests.items()
-        if (windows := find_windows(logs, kind)) is not None
-    }
-
-
-def _with_campaigns(known: Known, logs: Sequence[DriveLog]) -> Known:
-    """Return a fit with ages of the poses of campaigns that were not fitted."""
     unknowns, values = list(known.model.unknowns), known.values
     fitted = [row for row, each in enumerate(unknowns) if each.quantity == "age"]
     ofs = {unknowns[row].of for row in fitted}
@@ -442,7 +443,12 @@ def _with_campaigns(known: Known, logs: Sequence[DriveLog]) -> Known:
         shown = [age for log in logs if log.campaign == name and (age := age_of_poses(log))]
         values = np.append(values, np.mean(shown or known.values[fitted]))
         unknowns.append(Unknown(f"age_{name}", "age", of=name))
-    return Known(known.model._replace(unknowns=tuple(unknowns)), values)
+    known = Known(known.model._replace(unknowns=tuple(unknowns)), values)
+    return {
+        kind: score_windows(known, fitted, logs, windows, slopes)
+        for kind, fitted in rests.items()
+        if (windows := find_windows(logs, kind)) is not None
+    }
 
 
 def find_windows(logs: Sequence[DriveLog], kind: WindowKind) -> Windows | None:
@@ -451,19 +457,6 @@ def find_windows(logs: Sequence[DriveLog], kind: WindowKind) -> Windows | None:
         return windows_of(logs, *kind)
     except ModelError:
         return None
-
-
-def _joined(parts: Sequence[Score]) -> Score:
-    """Return the errors on the windows of all parts."""
-    errors, windows, grade, is_beyond, reach, campaigns = zip(*parts, strict=True)
-    return Score(
-        WindowErrors(*map(np.concatenate, zip(*errors, strict=True))),
-        Windows(*map(np.concatenate, zip(*windows, strict=True))),
-        np.concatenate(grade),
-        np.concatenate(is_beyond),
-        np.concatenate(reach, axis=1),
-        min(campaigns),
-    )
 
 
 def conformal(errors: Array) -> float:

@@ -26,7 +26,7 @@ import numpy as np
 import scipy  # its parts are imported when they are used, since this takes 0.2 s
 
 from slipfree.core.errors import ModelError, read_table
-from slipfree.core.records import Array, Indices, Label, Mask
+from slipfree.core.records import Array, Indices, Label
 from slipfree.core.schema import keys_of
 from slipfree.system.interrupt import check_interrupt
 
@@ -299,6 +299,12 @@ class Residuals:
         part[np.diag_indices(p)] = np.where(undetermined, np.inf, np.diag(part))
         covariance[np.ix_(free, free)] = part
         reach = scipy.special.stdtrit(freedom, EDGES[1]) * np.sqrt(np.diag(covariance))
+        kept = vectors[:, ~lost]
+        squares, turns = np.linalg.eigh(kept.T @ scaled @ kept)
+        found = np.sqrt(np.maximum(squares, 0.0)), np.full(int(lost.sum()), np.inf)
+        principal = np.hstack([kept @ turns, vectors[:, lost]])
+        largest, least = (f(axis=0, initial=0.0) for f in (principal.max, principal.min))
+        signs = np.where(largest < -least, -1.0, 1.0)  # of the largest components
         return Estimate(
             labels,
             nominal,
@@ -307,25 +313,9 @@ class Residuals:
             np.column_stack([values - reach, values + reach]),
             scales,
             tuple(at_bound.tolist()),
-            _directions(scaled, vectors, lost),
+            tuple(map(Direction, np.concatenate(found).tolist(), (signs * principal).T)),
             self._deviations,
         )
-
-
-def _directions(scaled: Array, vectors: Array, lost: Mask) -> tuple[Direction, ...]:
-    """Return the principal directions of a covariance, and those that are undetermined."""
-    kept = vectors[:, ~lost]
-    values, axes = np.linalg.eigh(kept.T @ scaled @ kept)
-    known = [
-        Direction(float(np.sqrt(max(value, 0.0))), _signed(kept @ axis))
-        for value, axis in zip(values, axes.T, strict=True)
-    ]
-    return (*known, *(Direction(np.inf, _signed(vector)) for vector in vectors[:, lost].T))
-
-
-def _signed(vector: Array) -> Array:
-    """Return a vector with a positive largest component."""
-    return np.asarray(vector * np.sign(vector[np.abs(vector).argmax()]))
 
 
 class Interval(NamedTuple):

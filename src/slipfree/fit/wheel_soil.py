@@ -35,7 +35,7 @@ from slipfree.fit.estimate import (
     law_constants,
     law_limits,
 )
-from slipfree.laws.soil import STEADY_CREEP, Soil, WheelSize, forces_at_speeds
+from slipfree.laws.soil import STEADY_CREEP, Soil, WheelSize, depth_under_load, forces_at_speeds
 from slipfree.models.single_wheel import WheelRuns
 from slipfree.system.interrupt import interrupt_requested
 from slipfree.vehicle.tree import EARTH_GRAVITY
@@ -48,8 +48,6 @@ SMALLEST = 1e-9  # deviation of a quantity that is not measured, or fitted exact
 TOLERANCE = 1e-7  # of searches
 NOT_STEADY = ("damping_ratio", "creep", "regions", "coupled_shear")  # of a soil
 STEADY_CONSTANTS = tuple(name for name in law_constants(Soil()) if name not in NOT_STEADY)
-DEPTH_STEPS = 60  # of Newton's method and bisection for the sinkage
-DEPTH_TOLERANCE = 1e-13  # last step of the sinkage [wheel radii]
 
 
 class WheelModel:
@@ -91,7 +89,12 @@ class WheelPredictor:
         if self._last is not None and np.array_equal(self._last[0], values):
             return self._last[1]
         runs, many = self._runs, np.tile(values[:, None], self._runs.load.size)
-        depth = self._depth = self._solve_depth(many)
+        self._depth = depth = depth_under_load(
+            lambda h: self._normal(many, h[None], runs.motion).full(),
+            self._radius,
+            runs.load,
+            self._depth,
+        )
         rows, by_depth, by_values, stiffness, softer = (
             each.full() for each in self._forces(many, depth[None], runs.motion)
         )
@@ -106,24 +109,6 @@ class WheelPredictor:
         return self._last[1]
 
     accept = __call__
-
-    def _solve_depth(self, many: Array) -> Array:
-        """Return the depths at which the soil bears the loads; at most the radius [m]."""
-        runs, depth = self._runs, self._depth
-        low, high = np.zeros_like(depth), np.full_like(depth, self._radius)
-        for _ in range(DEPTH_STEPS):
-            normal, stiffness = self._normal(many, depth[None], runs.motion).full()
-            deep = normal > runs.load
-            low, high = np.where(deep, low, depth), np.where(deep, depth, high)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                new = depth - (normal - runs.load) / stiffness
-            # bisection where Newton's step leaves the bracket
-            new = np.where((new > low) & (new < high), new, (low + high) / 2)
-            done = np.abs(new - depth).max() < DEPTH_TOLERANCE * self._radius
-            depth = new
-            if done:
-                break
-        return np.where(depth > (1 - 1e-9) * self._radius, self._radius, depth)
 
 
 class QuantityErrors(NamedTuple):

@@ -173,7 +173,8 @@ STEADY_CREEP = 1e-8  # creep speed in steady motion [larger of rim and forward s
 ANGLE_SMOOTHING = 0.01  # slip angle whose smoothed sign in (6) and (7) is 0.76 [rad]
 RATIO_SMOOTHING = 0.02  # slip and skid ratio below which the exponent hardly changes [1]
 SMALLEST_RATIO = 1e-12  # keeps the derivative of a root finite [1]
-DEPTH_STEPS = 60  # number of bisection steps for the sinkage
+DEPTH_STEPS = 60  # of Newton's method and bisection for the sinkage
+DEPTH_TOLERANCE = 1e-13  # last step of the sinkage [wheel radii]
 UNKNOWNS = (
     *("force_normal", "force_along", "force_across", "soil_torque", "sinkage"),
     *("rim_speed", "speed_along", "speed_across"),
@@ -560,27 +561,41 @@ def static_sinkage(soil: Soil, size: WheelSize, load: float) -> float:
     ModelError is raised if the wheel sinks to its axle.
     """
     depth = ca.SX.sym("depth")
-    forces = forces_at_speeds(soil, size, depth, 0, 0, 0, STEADY_CREEP).normal
-    normal = ca.Function("normal", [depth], [forces])
-    most = float(normal(size.radius))
+    force = forces_at_speeds(soil, size, depth, 0, 0, 0, STEADY_CREEP).normal
+    normal = ca.Function("normal", [depth], [ca.vertcat(force, ca.jacobian(force, depth))])
+    most = float(normal(size.radius)[0])
     if most < load:
         raise ModelError(
             f"soil: expected a sinkage smaller than the wheel's radius, {size.radius:g} m, found "
             f"that the soil bears only {most:.4g} N of {load:.4g} N at that depth; "
             "reduce the load, or increase the wheel's width or radius"
         )
-    depths = depth_under_load(lambda h: normal(h).full(), size.radius, np.full((1, 1), load))
-    return float(depths.item())
+    depths = depth_under_load(lambda h: normal(h[None]).full(), size.radius, np.array([load]))
+    return float(depths[0])
 
 
-def depth_under_load(normal: Callable[[Array], Array], radius: float, load: Array) -> Array:
-    """Return the depths at which soil bears loads [N], by bisection; at most the radius [m]."""
+def depth_under_load(
+    normal: Callable[[Array], Array], radius: float, load: Array, start: Array | None = None
+) -> Array:
+    """Return the depths at which soil bears loads, shape (n,) [N]; at most the radius [m].
+
+    ``normal`` returns the normal forces and their derivatives at depths, shape (2, n).
+    """
+    depth = np.full_like(load, radius / 4) if start is None else start
     low, high = np.zeros_like(load), np.full_like(load, radius)
     for _ in range(DEPTH_STEPS):
-        middle = (low + high) / 2
-        deep = normal(middle) > load
-        low, high = np.where(deep, low, middle), np.where(deep, middle, high)
-    return np.asarray((low + high) / 2)
+        force, stiffness = normal(depth)
+        deep = force > load
+        low, high = np.where(deep, low, depth), np.where(deep, depth, high)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            new = depth - (force - load) / stiffness
+        # bisection where Newton's step leaves the bracket
+        new = np.where((new > low) & (new < high), new, (low + high) / 2)
+        is_solved = np.abs(new - depth).max(initial=0.0) < DEPTH_TOLERANCE * radius
+        depth = new
+        if is_solved:
+            break
+    return np.where(depth > (1 - 1e-9) * radius, radius, depth)
 
 
 def _smooth_size(square: Any) -> Any:

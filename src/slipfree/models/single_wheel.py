@@ -149,7 +149,8 @@ def steady_forces(
     depth, speeds = ca.SX.sym("depth"), ca.SX.sym("speeds", 3)
     parts = speeds[0], speeds[1], speeds[2]
     components = forces_at_speeds(soil, size, depth, *parts, STEADY_CREEP, gravity)
-    forces = ca.Function("forces", [depth, speeds], [*components])
+    normal = ca.vertcat(components.normal, ca.jacobian(components.normal, depth))
+    forces = ca.Function("forces", [depth, speeds], [normal, *components[1:]])
     borne = forces(np.full((1, load.size), size.radius), motion)[0].full()[0]
     if (borne < load).any():
         k = (borne - load).argmin()
@@ -160,11 +161,9 @@ def steady_forces(
             f"{load[k]:.4g} N at that depth, at slip {slip:g} and slip angle {angle:g} rad; "
             "reduce the load, or use a larger wheel"
         )
-    depths = depth_under_load(
-        lambda depths: forces(depths, motion)[0].full(), size.radius, load[None]
-    )
-    _, pull, side, torque = (each.full()[0] for each in forces(depths, motion))
-    return SteadyForces(depths[0], pull, -np.sign(motion[2]) * side, torque)
+    depths = depth_under_load(lambda h: forces(h[None], motion)[0].full(), size.radius, load)
+    _, pull, side, torque = (each.full()[0] for each in forces(depths[None], motion))
+    return SteadyForces(depths, pull, -np.sign(motion[2]) * side, torque)
 
 
 def check_slip(slip: Array, angle: Array) -> None:
@@ -213,12 +212,12 @@ def _pull_at_limit(
     arguments = [ca.SX.sym(name) for name in ("depth", "x", "y", "angle")]
     depth, *place, beta = arguments
     forces = forces_at_slip(soil_at(soil, *place), size, depth, SLIP_LIMIT, beta)
-    function = ca.Function("forces", arguments, [forces.normal, forces.pull])
+    rows = ca.vertcat(forces.normal, ca.jacobian(forces.normal, depth), forces.pull)
+    function = ca.Function("forces", arguments, [ca.densify(rows)])
 
-    def at_depth(depths: Array) -> tuple[Array, Array]:
-        return tuple(each.full().ravel() for each in function(*(v[None] for v in (depths, *rest))))
+    def at_depth(depths: Array) -> Array:
+        return np.asarray(function(*(v[None] for v in (depths, x, y, angle))).full())
 
-    rest = x, y, angle
-    borne, _ = at_depth(np.full(load.shape, size.radius))
-    depths = depth_under_load(lambda depths: at_depth(depths)[0], size.radius, load)
-    return np.where(borne < load, np.nan, at_depth(depths)[1])
+    borne = at_depth(np.full(load.shape, size.radius))[0]
+    depths = depth_under_load(lambda depths: at_depth(depths)[:2], size.radius, load)
+    return np.where(borne < load, np.nan, at_depth(depths)[2])

@@ -35,8 +35,7 @@ from slipfree.solve.system import SolverOptions
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism, Profile, Solid, Solids, flat, placed, section_of
-from slipfree.vehicle.gravity import foreign_map_words, gravity_words
-from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.tree import Vehicle, foreign_map_words, gravity_words
 
 DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are less smooth
 EVEN = 1e-6  # smaller relative differences of periods count as zero

@@ -41,9 +41,8 @@ from slipfree.problem.problem import Problem, shared
 from slipfree.problem.schema import CATALOG
 from slipfree.show.meshes import joined
 from slipfree.system.regular_files import read_bytes, regular_file
-from slipfree.vehicle.gravity import in_gravity
 from slipfree.vehicle.sections import TriangleMesh
-from slipfree.vehicle.tree import Vehicle, actuated
+from slipfree.vehicle.tree import Vehicle, actuated, in_gravity
 
 # values of arguments of xacro that cannot contain programs or names of files in other folders
 HARMLESS = re.compile(r"[\w .,+-]*", re.ASCII)

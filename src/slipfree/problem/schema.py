@@ -32,8 +32,7 @@ from slipfree.terrain import solids
 from slipfree.terrain.base import Grid
 from slipfree.terrain.solids import Profile
 from slipfree.terrain.synthetic import FEATURES
-from slipfree.vehicle.gravity import BODIES
-from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.tree import BODIES, Vehicle
 
 CATALOG: dict[str, Callable[..., Vehicle]] = {
     name: getattr(catalog, name) for name in catalog.__all__

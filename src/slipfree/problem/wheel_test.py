@@ -44,7 +44,7 @@ from slipfree.problem.verbs.fit import (
     estimate_lines,
     estimate_rows,
 )
-from slipfree.vehicle.gravity import gravity_of, gravity_words
+from slipfree.vehicle.tree import gravity_of, gravity_words
 
 UNDETERMINED = "not determined by these data"
 PRIOR_SHARES = {  # deviation over mean of the priors of constants that are fitted by default

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from functools import reduce
 from itertools import pairwise
 from operator import attrgetter, itemgetter
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from slipfree.atlas.atlas import atlas, least_bounds
@@ -483,7 +483,17 @@ def routes(
     ModelError
         As `route` does, or if the count is not positive.
     """
-    _check_ends(layers, start, goal)
+    for name, point in (("start", start), ("goal", goal)):
+        if why := blocking_reasons(layers, *map(float, point)):
+            raise ModelError(
+                f"route: the vehicle cannot be at the {name} {point_text(point)}: {why}; "
+                f"move the {name}"
+            )
+    if np.array_equal(start, goal):
+        raise ModelError(
+            f"route: expected different start and goal, found both at "
+            f"{point_text(start)}; move one of them"
+        )
     ends = np.asarray(start, float), np.asarray(goal, float)
     obstacles = obstacle_points(layers)
     by_class: dict[tuple[int, ...], Route] = {}
@@ -513,77 +523,43 @@ def routes(
 # Search
 
 
-def _check_ends(layers: Traversability, start: Point, goal: Point) -> None:
-    for name, point in (("start", start), ("goal", goal)):
-        if why := blocking_reasons(layers, *map(float, point)):
-            raise ModelError(
-                f"route: the vehicle cannot be at the {name} {point_text(point)}: {why}; "
-                f"move the {name}"
-            )
-    if np.array_equal(start, goal):
-        raise ModelError(
-            f"route: expected different start and goal, found both at "
-            f"{point_text(start)}; move one of them"
-        )
-
-
 def _search(layers: Traversability, start: Array, goal: Array) -> Array:
     """Return the cheapest path on the grid with start and goal, shape (n, 2); empty without [m]."""
     shape = layers.to_hole.shape
     first, last = (
         int(np.ravel_multi_index(node_at(layers, *point), shape)) for point in (start, goal)
     )
-    lengths, before = scipy.sparse.csgraph.dijkstra(
-        _graph(layers), indices=first, return_predecessors=True
-    )
-    if not math.isfinite(lengths[last]):
-        return np.empty((0, 2))
-    nodes = [last]
-    while nodes[-1] != first:
-        nodes.append(int(before[nodes[-1]]))
-    i, j = np.unravel_index(nodes[::-1], shape)
-    inner = np.stack([layers.x[i], layers.y[j]], axis=1)
-    points = np.concatenate([[start], inner, [goal]])
-    fresh = np.concatenate([[True], np.any(np.diff(points, axis=0) != 0, axis=1)])
-    return np.asarray(points[fresh])
-
-
-def _graph(layers: Traversability) -> scipy.sparse.csr_matrix:
-    """Return the costs of moves between free nodes, shape (n_x n_y, n_x n_y) [m].
-
-    A move costs its length times the mean cost, in its direction, of its two nodes and of the two
-    nodes that it passes between; it neither cuts a blocked corner nor jumps over a blocked node.
-    """
+    # A move costs its length times the mean cost, in its direction, of its two nodes and of the two
+    # nodes that it passes between; it neither cuts a blocked corner nor jumps over a blocked node.
     size, h, width = layers.to_hole.size, layers.spacing, layers.y.size
     weights = np.empty((size, len(MOVES)), dtype=np.float32)
     shifts = np.array([i * width + j for i, j in MOVES], dtype=np.int32)
     for column, (i, j) in enumerate(MOVES):
         cost = layers.cost_toward(math.atan2(-i * h[0], j * h[1]))
         padded = np.pad(cost, 2, constant_values=math.inf).astype(np.float32)
-        passed = _passed(i, j)
-        total = _shifted(padded, 0, 0) + _shifted(padded, i, j)
-        for each in passed:
-            total = total + _shifted(padded, *each)
-        weights[:, column] = (total * (math.hypot(i * h[0], j * h[1]) / (2 + len(passed)))).ravel()
+        nodes = [(0, 0), (i, j)]
+        if i and j:
+            k, n = (i, 0) if abs(i) == abs(j) else (int(i / 2), int(j / 2))
+            nodes += [(k, n), (i - k, j - n)]
+        rows, columns = shape
+        shifted = (padded[2 + k : 2 + k + rows, 2 + n : 2 + n + columns] for k, n in nodes)
+        total = reduce(np.add, shifted) * (math.hypot(i * h[0], j * h[1]) / len(nodes))
+        weights[:, column] = total.ravel()
     free = np.isfinite(weights)
     ends = np.concatenate([[0], np.cumsum(np.count_nonzero(free, axis=1))])
     targets = (np.arange(size, dtype=np.int32)[:, None] + shifts)[free]
-    return scipy.sparse.csr_matrix((weights[free].astype(float), targets, ends), shape=(size, size))
-
-
-def _passed(i: int, j: int) -> tuple[tuple[int, int], ...]:
-    """Return the two nodes between which a move passes, relative to its start; none if straight."""
-    if 0 in (i, j):
-        return ()
-    if abs(i) == abs(j):
-        return (i, 0), (0, j)
-    half = (i // 2, 0) if abs(i) == 2 else (0, j // 2)
-    return half, (i - half[0], j - half[1])
-
-
-def _shifted(padded: npt.NDArray[np.float32], i: int, j: int) -> npt.NDArray[np.float32]:
-    rows, columns = padded.shape
-    return padded[2 + i : rows - 2 + i, 2 + j : columns - 2 + j]
+    graph = scipy.sparse.csr_matrix((weights[free].astype(float), targets, ends), (size, size))
+    lengths, before = scipy.sparse.csgraph.dijkstra(graph, indices=first, return_predecessors=True)
+    if not math.isfinite(lengths[last]):
+        return np.empty((0, 2))
+    path = [last]
+    while path[-1] != first:
+        path.append(int(before[path[-1]]))
+    at = np.unravel_index(path[::-1], shape)
+    inner = np.stack([layers.x[at[0]], layers.y[at[1]]], axis=1)
+    points = np.concatenate([[start], inner, [goal]])
+    fresh = np.concatenate([[True], np.any(np.diff(points, axis=0) != 0, axis=1)])
+    return np.asarray(points[fresh])
 
 
 REMEDIES = {

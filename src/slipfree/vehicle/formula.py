@@ -80,7 +80,9 @@ def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth
             f"formula {text!r}: expected at most {MAX_DEPTH} nested levels, found more; simplify it"
         )
     match node:
-        case ast.Constant(value=int() | float() as number) if _is_number(number):
+        case ast.Constant(value=int() | float() as number) if (
+            not isinstance(number, bool) and abs(number) <= MAX_NUMBER
+        ):
             return float(number)
         case ast.Name(id=name) if name in values:
             return values[name]
@@ -104,11 +106,6 @@ def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth
                 )
     segment = ast.get_source_segment(text.strip(), node) or text
     raise _formula_error(text, segment[:MAX_SHOWN])
-
-
-def _is_number(value: float) -> bool:
-    """Return whether a constant is a finite number up to `MAX_NUMBER`; a bool is not."""
-    return not isinstance(value, bool) and abs(value) < math.inf and abs(value) <= MAX_NUMBER
 
 
 def _formula_error(text: str, part: str) -> ModelError:

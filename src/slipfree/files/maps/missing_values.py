@@ -102,8 +102,15 @@ def _repeated_marker(z: Array, metres: float) -> Marker | None:
         value = float(values[group[0]])
         gap = max(low - value, value - high)
         is_one = group.size == 1 or all(_is_named(float(each)) for each in values[group])
-        share = np.count_nonzero(finite == value) / finite.size
-        if is_one and gap > 0 and gap * metres >= _least_gap(value, low, high, share):
+        # Least distance that relief cannot explain: the smaller the relief is relative to the
+        # distance, the smaller, unless many nodes have the value: the sea below a cliff.
+        relief = (high - low) / (low - value) if value < low else np.inf
+        least = LOW_GAP if relief <= 1 / RATIO else MIDDLE_GAP if relief <= 1 else DEEP_GAP
+        if np.count_nonzero(finite == value) > MAX_SHARE * finite.size:
+            least = DEEP_GAP
+        least = HIGH_GAP if value > high else least
+        least = NAMED_GAP if _is_named(value) else least
+        if is_one and gap > 0 and gap * metres >= least:
             return Marker(value, low, high, is_exact=True)
     return None
 
@@ -122,20 +129,6 @@ def _distinct_values(z: Array) -> Array:
             if not rest.size:
                 break
     return np.unique(np.concatenate(parts))
-
-
-def _least_gap(value: float, low: float, high: float, share: float) -> float:
-    """Return the least distance of a marker from heights in a range that relief cannot explain [m].
-
-    The larger the distance is relative to the relief, the smaller it may be, unless the value has
-    a large share of the nodes: it may be the sea below a cliff.
-    """
-    if _is_named(value):
-        return NAMED_GAP
-    if value > high or share > MAX_SHARE:
-        return HIGH_GAP if value > high else DEEP_GAP
-    relief = (high - low) / (low - value)
-    return LOW_GAP if relief <= 1 / RATIO else MIDDLE_GAP if relief <= 1 else DEEP_GAP
 
 
 def _is_named(value: float) -> bool:

@@ -46,6 +46,7 @@ FEET = "; for feet set terrain.vertical_scale = 0.3048"
 # axes of the coordinates in netCDF files, by their names, standard names and attributes axis
 COORDINATES = {word: axis for axis, words in TABLE["coordinates"].items() for word in words.split()}
 SHOWN = 20  # bytes of a damaged header in messages
+NUMBER = re.compile(rb"[-+]?((\d+\.?\d*|\.\d+)(e[-+]?\d+)?|inf(inity)?|nan)", re.IGNORECASE)
 DEGREE = 1.11e5  # approximate length of a degree [m]
 OCCUPANCY = 205, 0, 254  # gray levels of map_server: unknown, occupied, free
 TO_LEVELS = (
@@ -66,20 +67,6 @@ WORDS = {
     "area": "heights at the centres of cells (pixel is area)",
     "point": "heights at nodes (pixel is point)",
 }
-
-
-def _check_header(path: Path) -> None:
-    """Raise DataError for a damaged header of a classic netCDF file.
-
-    The netCDF library allocates as much memory as a header claims, up to gigabytes.
-    """
-    try:
-        with path.open("rb") as stream, scipy.io.netcdf_file(stream, mmap=True):
-            pass
-    except DAMAGED as error:
-        raise DataError(
-            "expected a readable netCDF file, found a damaged header; copy or download it again"
-        ) from error.with_traceback(None)
 
 
 class Reading(NamedTuple):
@@ -193,8 +180,15 @@ def _use_dataset(path: Path, use: Callable[[Any, bool], T]) -> T:
             noted = opened.enter_context(warnings.catch_warnings(record=True))
             warnings.simplefilter("always", NotGeoreferencedWarning)
             if head in BY_NAME:  # link it in a folder without other files, which GDAL would read
-                if head in CLASSIC:
-                    _check_header(path)
+                if head in CLASSIC:  # whose library allocates as much memory as a header claims
+                    try:
+                        with path.open("rb") as stream, scipy.io.netcdf_file(stream, mmap=True):
+                            pass
+                    except DAMAGED as error:
+                        raise DataError(
+                            "expected a readable netCDF file, found a damaged header; copy or "
+                            "download it again"
+                        ) from error.with_traceback(None)
                 folder = Path(opened.enter_context(TemporaryDirectory()))
                 (folder / name).symlink_to(path.resolve())
                 dataset = rasterio.open(folder / name, driver=BY_NAME[head])
@@ -372,7 +366,8 @@ def _check_numbers(path: Path, driver: str, shape: tuple[int, int], used: range)
                 refuse(f"one {key.decode()!r} in the header", f"another in line {n}", "remove one")
             rows = range((found - first) // shape[1], (found - first + len(words)) // shape[1] + 1)
             is_used = not found or (rows.start < used.stop and used.start < rows.stop)
-            wrong = _wrong_word(words[is_key:]) if is_used else None
+            numbers = words[is_key:] if is_used else []
+            wrong = next((word for word in numbers if not NUMBER.fullmatch(word)), None)
             if wrong is not None:
                 command = f": tr , . < {shlex.quote(path.name)} > points.asc" * (b"," in wrong)
                 others = "" if found else f", after a key of {KEYS[driver]} or alone"
@@ -407,16 +402,6 @@ def _check_numbers(path: Path, driver: str, shape: tuple[int, int], used: range)
             f"{shape[1]} rows of {shape[0]}",
             "exchange the numbers of columns and rows in the header",
         )
-
-
-def _wrong_word(words: list[bytes]) -> bytes | None:
-    word = b""
-    try:
-        for word in words:
-            float(word.replace(b"_", b"?"))
-    except ValueError:
-        return word
-    return None
 
 
 def _unit(file: Any) -> float:  # of the heights, NaN if it is not known [m]

@@ -13,7 +13,7 @@ from slipfree.files.urdf.evidence import actuators, plugins
 from slipfree.files.urdf.wheels import with_separate_balls
 from slipfree.files.urdf.xml import Element, number_in, parse_robot
 from slipfree.files.vehicle_toml import MAX_LENGTH, degrees_words, in_order, rotation_of
-from slipfree.geometry.frame import Elements, Vector, in_axes, is_inertia
+from slipfree.geometry.frame import Vector, in_axes, is_inertia
 from slipfree.vehicle.shapes import Box
 from slipfree.vehicle.wheel import ORIGIN
 
@@ -47,7 +47,19 @@ def read_tree(
     whole = robot
     robot, omitted = xacro.without_xacro(robot, file, findings)
     for part in [*robot.all("link"), *robot.all("joint")]:
-        _check_names(part, findings, f"{part.tag} {part.attributes.get('name', '')!r}")
+        who = f"{part.tag} {part.attributes.get('name', '')!r}"
+        pairs = ((each, child) for each in part.everything() for child in each.children)
+        for parent, child in pairs:  # misspelt elements, and attributes that are those of others
+            tags = {each.tag for each in parent.children}
+            names = xacro.PARTS - tags if child.tag not in xacro.PARTS else ()
+            for name in get_close_matches(child.tag.lower(), names, n=1, cutoff=NEAR):
+                message = f"{who}: expected <{name}>, found <{child.tag}>; correct the name"
+                findings.add(child.line, message)
+            known = ATTRIBUTES.get(child.tag, ())
+            wrong = [key for key in child.attributes if known and key not in known]
+            if wrong and not {*known[:4]} <= {*child.attributes}:
+                expected = f"{who}: {child.tag}: expected the attributes {', '.join(known)}"
+                findings.add(child.line, f"{expected}, found {', '.join(wrong)}; correct them")
     for tag in ("link", "joint"):
         lines = defaultdict[str, list[int]](list)
         for element in robot.all(tag):
@@ -94,22 +106,6 @@ def read_tree(
     return with_separate_balls(
         tree.Tree(file, name, root, links, ordered, *control, omitted, notes, unknown)
     )
-
-
-def _check_names(part: Element, findings: tree.Findings, who: str) -> None:
-    """Add errors of misspelt elements, and of attributes in place of those of an element."""
-    tags = {child.tag for child in part.children}
-    for child in part.children:
-        names = xacro.PARTS - tags if child.tag not in xacro.PARTS else ()
-        for name in get_close_matches(child.tag.lower(), names, n=1, cutoff=NEAR):
-            message = f"{who}: expected <{name}>, found <{child.tag}>; correct the name"
-            findings.add(child.line, message)
-        known = ATTRIBUTES.get(child.tag, ())
-        wrong = [key for key in child.attributes if known and key not in known]
-        if wrong and not {*known[:4]} <= {*child.attributes}:
-            expected = f"{who}: {child.tag}: expected the attributes {', '.join(known)}"
-            findings.add(child.line, f"{expected}, found {', '.join(wrong)}; correct them")
-        _check_names(child, findings, who)
 
 
 class _UrdfElement:
@@ -188,7 +184,11 @@ def _link(element: Element, findings: tree.Findings, unread: list[str]) -> tree.
     mass, center, inertia = None, ORIGIN, None
     if (inertial := link.first("inertial")) is not None:
         center, turned = inertial.origin()
-        inertia = _inertia(inertial, turned)
+        if (tensor := inertial.first("inertia", "inertia")) is not None:
+            xx, yy, zz, xy, xz, yz = (tensor.number(key, 0.0) for key in MOMENTS)
+            moments = (xx, yy, zz, xy, xz, yz)
+            turn = rotation_of(turned)
+            inertia = in_axes(turn, moments) if is_inertia(moments) else None
         if (weighed := inertial.first("mass", "mass")) is not None:
             mass = weighed.number("value")
             if mass < 0:
@@ -208,15 +208,6 @@ def _link(element: Element, findings: tree.Findings, unread: list[str]) -> tree.
     shapes, meshes, boxes = of(tree.Shape), of(tree.MeshFile), of(Box)
     collisions = tuple(found["collision"])
     return tree.Link(name, mass, center, shapes, meshes, boxes, inertia, visuals, collisions)
-
-
-def _inertia(inertial: _UrdfElement, turned: Vector) -> Elements | None:
-    element = inertial.first("inertia", "inertia")
-    if element is None:
-        return None
-    xx, yy, zz, xy, xz, yz = (element.number(key, 0.0) for key in MOMENTS)
-    moments = (xx, yy, zz, xy, xz, yz)
-    return in_axes(rotation_of(turned), moments) if is_inertia(moments) else None
 
 
 def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> tree.Geometry | None:

@@ -55,19 +55,15 @@ class EvidenceRow(NamedTuple):
     words: str  # {} is replaced by the fact, names in braces by other facts
     choice: str = ""  # that it supports, {} is replaced by the fact; empty if it supports none
     weight: float = 0.0
-    pattern: re.Pattern[str] | None = None  # the first match in the fact, a text, replaces it
+    pattern: str = ""  # the first match in the fact, a text, replaces it
 
 
-def _read_rows() -> Iterator[EvidenceRow]:
-    for question, rows in TABLE.items():
-        for row in rows:
-            weight = row.get("weight", 0.0)
-            pattern = _words(row["pattern"]) if "pattern" in row else None
-            others = {"weight": WEIGHTS.get(weight, weight), "pattern": pattern}
-            yield EvidenceRow(**{**row, "question": question, **others})
-
-
-ROWS = tuple(_read_rows())
+ROWS = [
+    EvidenceRow(**{**row, "question": question, "weight": WEIGHTS.get(weight, weight)})
+    for question, rows in TABLE.items()
+    for row in rows
+    for weight in [row.get("weight", 0.0)]
+]
 
 
 class Evidence(NamedTuple):
@@ -84,7 +80,7 @@ def evidence(question: Question, facts: Mapping[str, Any]) -> Iterator[Evidence]
     for row in ROWS:
         fact = facts.get(row.fact) if row.question == question else None
         if fact and row.pattern:
-            fact = next(iter(row.pattern.findall(fact)), None)
+            fact = next(iter(re.findall(row.pattern, fact, re.IGNORECASE)), None)
         if fact:
             words = row.words.format(fact, **facts)
             yield Evidence(row.choice.format(fact), row.weight, words, fact)
@@ -178,8 +174,21 @@ def _number(text: str) -> float:
 
 def actuators(robot: Element) -> dict[str, list[Evidence]]:
     """Return the evidence of actuators and springs in a robot, by the name of the joint."""
+    interfaces: list[tuple[str, str, str]] = []  # joint, interface, empty if unknown, and kind
+    for transmission in robot.all("transmission"):
+        parts: Sequence[Element] = [*transmission.everything()]
+        texts = ["".join(each.texts) for each in parts if each.tag.lower() == "hardwareinterface"]
+        names = [text.rpartition("/")[2].lower().removesuffix("interface") for text in texts]
+        names = [*dict.fromkeys(each.removesuffix("joint") for each in names)] or [""]
+        for joint in transmission.all("joint"):
+            own = joint.attributes.get("name", "")
+            interfaces += [(own, name, "transmission") for name in names]
+    for joint in (joint for control in robot.all("ros2_control") for joint in control.all("joint")):
+        for command in joint.all("command_interface"):
+            name = command.attributes.get("name", "").lower()
+            interfaces.append((joint.attributes.get("name", ""), name, "command interface"))
     facts: list[tuple[str, str, str]] = []  # joint, fact and value
-    for name, interface, kind in _interfaces(robot):
+    for name, interface, kind in interfaces:
         if "state" not in interface:  # of a sensor
             fact = interface if interface in INTERFACES else "interface"
             facts.append((name, fact, " ".join(filter(None, (interface, kind)))))
@@ -196,20 +205,3 @@ def actuators(robot: Element) -> dict[str, list[Evidence]]:
     for name, fact, value in facts:
         by_name[name] += evidence("kind", {fact: value})
     return by_name
-
-
-def _interfaces(robot: Element) -> Iterator[tuple[str, str, str]]:
-    """Yield joint, interface and kind of each actuator; the interface is empty if it is unknown."""
-    for transmission in robot.all("transmission"):
-        parts: Sequence[Element] = [*transmission.everything()]
-        texts = ["".join(each.texts) for each in parts if each.tag.lower() == "hardwareinterface"]
-        interfaces = [text.rpartition("/")[2].lower().removesuffix("interface") for text in texts]
-        kinds = dict.fromkeys(each.removesuffix("joint") for each in interfaces) or {"": None}
-        for joint in transmission.all("joint"):
-            for kind in kinds:
-                yield joint.attributes.get("name", ""), kind, "transmission"
-    for control in robot.all("ros2_control"):
-        for joint in control.all("joint"):
-            for command in joint.all("command_interface"):
-                name = command.attributes.get("name", "").lower()
-                yield joint.attributes.get("name", ""), name, "command interface"

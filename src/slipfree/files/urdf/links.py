@@ -66,7 +66,13 @@ def joint_values(vehicle: Vehicle, robot: Robot | None) -> tuple[ca.SX, dict[str
     released = {joint.name for joint in vehicle.joints if joint.coordinates}
     if robot is None:
         return q, {name: value for name, value in own.items() if name in released} | angles
-    signs, joints = _wheel_signs(vehicle, robot), robot.tree.joints
+    joints, turned = robot.tree.joints, facing_forward(robot.tree, robot.forward).joints
+    signs = dict[str, float]()  # 1 for joints that turn forward if their value increases, else -1
+    for joint in turned.values():
+        if joint.moves and (name := wheel_name(joint.name)) in wheels:
+            axis = vector_of(rotation_of(joint.turned) @ unit_vector(joint.axis))
+            axle = unit_vector(vehicle.wheels[wheels.index(name)].axle)
+            signs[joint.name] = -float(np.sign(np.dot(turned_right(axis), axle)))
 
     def value(joint: UrdfJoint) -> ca.SX:
         factor, offset = 1.0, 0.0
@@ -96,19 +102,6 @@ def link_poses(robot: Robot, values: Mapping[str, Array]) -> Iterator[LinkPoses]
         turn = rotations.from_matrix(rotation_of(joint.turned))
         origins = np.asarray(joint.at) + turn.apply(slid)
         yield LinkPoses(joint.parent, joint.child, origins, turn * rotations.from_rotvec(turned))
-
-
-def _wheel_signs(vehicle: Vehicle, robot: Robot) -> dict[str, float]:
-    """Return 1.0 for each joint that turns forward if its value increases, -1.0 for the others."""
-    wheels = {wheel.name: wheel for wheel in vehicle.wheels}
-    signs = {}
-    for joint in facing_forward(robot.tree, robot.forward).joints.values():
-        wheel = wheels.get(wheel_name(joint.name))
-        if wheel is not None and joint.moves:
-            axis = vector_of(rotation_of(joint.turned) @ unit_vector(joint.axis))
-            along = np.dot(turned_right(axis), unit_vector(wheel.axle))
-            signs[joint.name] = -float(np.sign(along))
-    return signs
 
 
 def to_rep103(poses: FramePoses) -> tuple[Array, Rotation]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -286,23 +286,21 @@ class Joints:
 
     def _choice(self, joint: UrdfJoint, carrying: Sequence[UrdfJoint]) -> evidence.Choice:
         """Return the kind of a joint by the evidence for it and its counterpart."""
-        kind = self._rocks(joint), joint.type == "prismatic"
-        alike = [o for o in carrying if (self._rocks(o), o.type == "prismatic") == kind]
-        other = self._tree.mirror_image(joint, alike)
-        both = [joint] if other is None or other.mimic else [joint, other]
-        return evidence.weigh(piece for each in both for piece in self._evidence(each))
-
-    def _evidence(self, joint: UrdfJoint) -> Iterator[evidence.Evidence]:
         rocks, slides = self._rocks(joint), joint.type == "prismatic"
-        facts = {
-            "rocks": rocks,
-            "rocker": rocks and joint.names,
-            "slides": slides and not rocks,
-            "turns": not (slides or rocks),
-            "swivels": joint.name in self._swivelling,
-        }
-        yield from evidence.evidence("kind", facts)
-        yield from self._tree.evidence.get(joint.name, ())
+        alike = [o for o in carrying if (self._rocks(o), o.type == "prismatic") == (rocks, slides)]
+        other = self._tree.mirror_image(joint, alike)
+        pieces = list[evidence.Evidence]()
+        for each in [joint] if other is None or other.mimic else [joint, other]:
+            facts = {
+                "rocks": rocks,
+                "rocker": rocks and each.names,
+                "slides": slides and not rocks,
+                "turns": not (slides or rocks),
+                "swivels": each.name in self._swivelling,
+            }
+            pieces += evidence.evidence("kind", facts)
+            pieces += self._tree.evidence.get(each.name, ())
+        return evidence.weigh(pieces)
 
     def kinds(self) -> dict[str, evidence.Choice]:
         """Return the probable kinds of the joints without a role, unless actuators agree."""
@@ -359,11 +357,18 @@ class Joints:
         Two opposite rockers that carry all wheels leave the pitch of the platform free, unless a
         differential joins them.
         """
-        rockers = [
-            joint
-            for name, joint in self._free.items()
-            if self._own[name] and joint.type != "prismatic" and self._may_follow(name)
-        ]
+        rockers = list[UrdfJoint]()
+        for name, joint in self._free.items():
+            if not self._own[name] or joint.type == "prismatic":
+                continue
+            # a suspension without own keys that follows only joints with wheels
+            role, choice = self._roles.joints.get(name), self._choices[name]
+            is_suspension = choice.choice == "suspension" and not choice.is_open
+            if role is not None:
+                is_suspension = role.kind == "suspension" and not role.keywords
+            leaders = self._leaders(name)
+            if is_suspension and all(self._own[each] and each in self._free for each in leaders):
+                rockers.append(joint)
         everything = {wheel.name for wheel in self._wheels}
         for first in rockers:
             second = self._tree.mirror_image(first, rockers)
@@ -380,16 +385,6 @@ class Joints:
                 leader, follower = (second, first) if first.mimic else (first, second)
                 return follower.name, Mimic(leader.name, multiplier, 0.0)
         return None
-
-    def _may_follow(self, name: str) -> bool:
-        """Return whether a joint is a suspension without own keys, and follows only such joints."""
-        role = self._roles.joints.get(name)
-        if not all(self._own[leader] and leader in self._free for leader in self._leaders(name)):
-            return False
-        if role is None:
-            choice = self._choices[name]
-            return choice.choice == "suspension" and not choice.is_open
-        return role.kind == "suspension" and not role.keywords
 
 
 class _Coordinates:
@@ -503,8 +498,17 @@ class _Coordinates:
         ends = {"lower": -math.inf, "upper": math.inf}
         sides = ("lower", "upper") if multiplier > 0 else ("upper", "lower")
         for key, side in zip(("lower", "upper"), sides, strict=True):
-            if side not in keywords:
-                ends[side] = (self._limit(joint, key) - offset) / multiplier
+            if side in keywords:
+                continue
+            limit: float = getattr(joint, key)
+            hint = vehicle_toml.degrees_words(limit)
+            expected = f"radians ({hint})" if hint else ""
+            if joint.type == "prismatic":
+                is_long = abs(limit) > vehicle_toml.MAX_LENGTH
+                expected = vehicle_toml.length_words(limit) if is_long else ""
+            if expected and not math.isinf(limit):  # its unit looks wrong
+                self._findings.wrong(joint, f"expected {key} in {expected}, found {limit:g}")
+            ends[side] = (limit - offset) / multiplier
         lower, upper = max(c.lower, ends["lower"]), min(c.upper, ends["upper"])
         if not lower < upper:
             self._findings.ask(
@@ -517,20 +521,6 @@ class _Coordinates:
             return
         own = math.inf if "max_rate" in keywords else joint.max_rate / abs(multiplier)
         self.known[name] = replace(c, lower=lower, upper=upper, max_rate=min(c.max_rate, own))
-
-    def _limit(self, joint: UrdfJoint, key: str) -> float:
-        """Return a limit of a joint in the URDF; add an error if its unit looks wrong."""
-        value: float = getattr(joint, key)
-        expected = ""
-        if joint.type == "prismatic":
-            expected = (
-                vehicle_toml.length_words(value) if abs(value) > vehicle_toml.MAX_LENGTH else ""
-            )
-        elif hint := vehicle_toml.degrees_words(value):
-            expected = f"radians ({hint})"
-        if expected and not math.isinf(value):
-            self._findings.wrong(joint, f"expected {key} in {expected}, found {value:g}")
-        return value
 
 
 def tracks(tree: Tree, wheels: Collection[str]) -> list[str]:
@@ -618,7 +608,11 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> evidence.Choice
     rolling = [j for j, low in zip(turning, bottoms, strict=True) if low <= most or not any(radii)]
     excluded = {*excluded, *caster_wheels(tree, rolling)}
     wheels = [joint for joint in rolling if joint.name not in excluded]
-    line = _along(tree, wheels)
+    # directions in which the unsteered wheels roll, or all without a common one
+    axles = [np.abs(tree.axis(joint)) for joint in wheels if joint.name not in tree.steered]
+    along_x, along_y, _ = np.min(axles, axis=0) if axles else np.zeros(3)
+    line = ("x", "-x") if along_y >= PARALLEL else ("x", "-x", "y", "-y")
+    line = ("y", "-y") if along_x >= PARALLEL else line
     called = [j for j in tree.joints.values() if evidence.WHEEL.search(j.names)]
     named = {ahead: _named_vector(tree, wheels, called, ahead) for ahead in ENDS}
     misplaced = _misplaced(tree, wheels, line, np.sum([v for v, _ in named.values()], axis=0))
@@ -626,7 +620,16 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> evidence.Choice
     for link, (rotation, _) in tree.frames.items():
         if evidence.CAMERA.search(link) and not _sides(link) & {"rear", "left", "right"}:
             view += rotation[:2, 2 if "optical" in link.lower() else 0]
-    vectors = {"steered": _to_steered(tree, wheels), "view": view}
+    # from the other wheels to steered ones; zero for steered wheels at both ends
+    places = {wheel.name: tree.frames[wheel.child][1][:2] for wheel in wheels}
+    rest = [place for name, place in places.items() if name not in tree.steered]
+    steered = np.zeros(2)
+    if 0 < len(rest) < len(places):
+        ahead = np.array([places[name] for name in places if name in tree.steered])
+        ahead -= np.mean(rest, axis=0)
+        mean = ahead.mean(axis=0)
+        steered = mean if (ahead @ mean).min() > 0 else steered
+    vectors = {"steered": steered, "view": view}
     if "x" not in line:
         x, y = np.sum([tree.axis(joint)[:2] for joint in wheels], axis=0)
         vectors["axes"] = np.array([y, -x])
@@ -636,9 +639,9 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> evidence.Choice
     for fact, vector in vectors.items():
         size = float(np.linalg.norm(vector))
         along = {name: float(vector @ DIRECTIONS[name]) for name in line}
-        ahead = max(line, key=lambda name: along[name])
-        if size > SMALL and along[ahead] > CLEAR * size:
-            facts[fact] = ahead
+        best = max(line, key=lambda name: along[name])
+        if size > SMALL and along[best] > CLEAR * size:
+            facts[fact] = best
         else:
             facts[fact.replace(" of wheels", " on axles")] = size > SMALL and " of " in fact
     pieces = [*evidence.evidence("forward", facts)]
@@ -651,16 +654,6 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> evidence.Choice
     is_noted = best != "x" or any(piece.choice != "x" for piece in pieces)
     other = rival if rival in OPPOSITE else OPPOSITE[best]
     return evidence.Choice(best, reason if is_noted else "", other, is_open)
-
-
-def _along(tree: Tree, wheels: Sequence[UrdfJoint]) -> tuple[str, ...]:
-    """Return the directions in which the unsteered wheels roll, or all without a common one."""
-    turned = tree.steered
-    axles = [np.abs(tree.axis(joint)) for joint in wheels if joint.name not in turned]
-    least = np.min(axles, axis=0) if axles else np.zeros(3)
-    if least[0] >= PARALLEL:
-        return "y", "-y"
-    return ("x", "-x") if least[1] >= PARALLEL else ("x", "-x", "y", "-y")
 
 
 def _named_vector(
@@ -707,15 +700,3 @@ def _misplaced(
         if len(wrong) < sum(map(len, of.values())):
             facts[f"{first} misplaced"] = ", ".join(wrong)
     return {fact: names for fact, names in facts.items() if names}
-
-
-def _to_steered(tree: Tree, wheels: Sequence[UrdfJoint]) -> Array:
-    """Return the vector to steered wheels from the others; zero for steered wheels at both ends."""
-    turned = tree.steered
-    places = {wheel.name: tree.frames[wheel.child][1][:2] for wheel in wheels}
-    rest = [place for name, place in places.items() if name not in turned]
-    if len(rest) in (0, len(places)):
-        return np.zeros(2)
-    offsets = [place - np.mean(rest, axis=0) for name, place in places.items() if name in turned]
-    mean = np.mean(offsets, axis=0)
-    return np.asarray(mean) if min(offset @ mean for offset in offsets) > 0 else np.zeros(2)

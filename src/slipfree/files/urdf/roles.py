@@ -117,7 +117,15 @@ def completed(tree: Tree, roles: UrdfTable) -> Tree:
     for name, role in roles.joints.items():
         if role.carries:
             tree = _with_joint(tree, name, role)
-    joints = {name: _with_role(joint, roles) for name, joint in tree.joints.items()}
+    joints = dict(tree.joints)
+    for name, joint in joints.items():
+        if own := roles.joints.get(name):
+            joints[name] = joint = joint._replace(axis=own.axis or joint.axis)
+            kind = joint.type if joint.moves else "revolute"
+            if own.motion:
+                kind = {"slide": "prismatic", "turn": "revolute"}[own.motion]
+            if own.kind != "fixed" and any(joint.axis):
+                joints[name] = joint._replace(type=kind)
     freed = {name for name, joint in joints.items() if joint.moves > tree.joints[name].moves}
     fixed = [
         joint
@@ -163,20 +171,6 @@ def _with_joint(tree: Tree, name: str, role: JointRole) -> Tree:
             joint = joint._replace(parent=name, at=vector_of(np.asarray(joint.at) - role.at))
         joints[joint.name] = joint
     return replace(tree, links=tree.links | {name: Link(name)}, joints=joints)
-
-
-def _with_role(joint: UrdfJoint, roles: UrdfTable) -> UrdfJoint:
-    """Return a joint with the axis and the motion of its role, released if it has an axis."""
-    role = roles.joints.get(joint.name)
-    if role is None:
-        return joint
-    joint = joint._replace(axis=role.axis or joint.axis)
-    if role.kind == "fixed" or not any(joint.axis):
-        return joint
-    kind = joint.type if joint.moves else "revolute"
-    return joint._replace(
-        type={"slide": "prismatic", "turn": "revolute"}[role.motion] if role.motion else kind
-    )
 
 
 def coupled(tree: Tree, couple: Mapping[str, float]) -> Tree:

@@ -163,9 +163,29 @@ class Wheels:
                 "wheel; remove one of the wheels",
             )
             return None
-        role = self._role(joint)
-        size = self._size(joint, role)
-        if size is None:
+        role, shape, radius = self._role(joint), self._shape(joint), self._rolling_radius(joint)
+        if radius is None:
+            wanted = "expected a cylinder, a sphere or a mesh as its wheel, found none"
+            message = self._unread.get(joint.name, wanted)
+            line = self._radius_line([joint], usual_radius(self.tree, [joint]))
+            self._findings.ask([joint], f"{message};", line)
+            return None
+        tube = self._roles.tube
+        if shape is not None:
+            tube = radius if shape.kind == "sphere" else shape.tube or tube
+        tube = tube if role.tube is None else role.tube
+        if tube > radius:
+            message = f"expected a tube of at most the radius, {radius:g} m, found {tube:g}"
+            self._findings.wrong(joint, f"{message}; reduce it")
+            return None
+        turning = shape if joint.moves and self.tree.is_level(joint) else None
+        if turning and eccentricity(turning, unit_vector(joint.axis)) > MAX_ECCENTRICITY:
+            at = ", ".join(f"{x:g}" for x in turning.at)
+            self._findings.wrong(
+                joint,
+                f"expected a wheel shape centred on its axis, found a {turning.kind} at ({at}) m; "
+                "move the shape or the axis",
+            )
             return None
         below = [repr(part.name) for part in self.tree.below(joint.child) if part.moves]
         if below:
@@ -175,7 +195,6 @@ class Wheels:
                 f"remove {'them' if len(below) > 1 else 'it'} or the wheel",
             )
             return None
-        radius, tube, at = size
         name = wheel_name(joint.name)
         if name != joint.name:
             self._findings.notes.append(f"joint {joint.name} carries the wheel {name}")
@@ -183,7 +202,7 @@ class Wheels:
         return Wheel(
             name,
             part_of[joint.parent],
-            vector_of(np.asarray(joint.at) + rotation_of(joint.turned) @ at),
+            vector_of(joint.at + rotation_of(joint.turned) @ (shape.at if shape else ORIGIN)),
             section_of_radii(tube, radius - tube, rollers=role.rollers or None),
             self._is_driven(joint) if role.driven is None else role.driven,
             role.grip,
@@ -257,13 +276,16 @@ class Wheels:
     def _with_mesh_shapes(self, tree: Tree) -> Tree:
         """Return the tree with round shapes of meshes for possible wheels without a shape."""
         links = dict(tree.links)
-        joints = [
-            joint
-            for joint in tree.joints.values()
-            if not links[joint.child].shapes
-            and links[joint.child].meshes
-            and self._may_be_wheel(tree, joint)
-        ]
+        joints = list[UrdfJoint]()
+        for joint in tree.joints.values():
+            if links[joint.child].shapes or not links[joint.child].meshes:
+                continue
+            is_fixed = not joint.moves and joint.name not in tree.fixed_to_wheels
+            is_wheel = is_fixed and bool(WHEEL.search(joint.names))
+            if joint.type == "continuous":
+                is_wheel = tree.is_level(joint)
+            is_wheel &= joint.name not in self._roles.joints and tree.is_last(joint)
+            joints += [joint] * (is_wheel or joint.name in self._roles.wheels)
         meshes = (mesh for joint in joints for mesh in links[joint.child].meshes)
         files = MeshFiles(meshes, Path(tree.file).parent)
         for joint in joints:
@@ -282,17 +304,6 @@ class Wheels:
                     f"{link.meshes[0].name!r}, which is not"
                 )
         return replace(tree, links=links)
-
-    def _may_be_wheel(self, tree: Tree, joint: UrdfJoint) -> bool:
-        """Return whether a joint carries a wheel if its mesh is round."""
-        if joint.name in self._roles.wheels:
-            return True
-        if joint.name in self._roles.joints or not tree.is_last(joint):
-            return False
-        if joint.type == "continuous":
-            return tree.is_level(joint)
-        is_free = joint.moves or joint.name in tree.fixed_to_wheels
-        return not is_free and bool(WHEEL.search(joint.names))
 
     def _add_guess(self, joint: UrdfJoint, guess: Evidence) -> None:
         """Complete the given properties of a wheel by guessed ones, and record these."""
@@ -489,36 +500,6 @@ class Wheels:
         twins = [shape.at for shape in shapes if shape.radius == chosen.radius]
         return chosen._replace(at=vector_of(np.mean(twins, axis=0)))  # the middle of twin tyres
 
-    def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
-        """Return radius, tube radius and position in the link [m]; None with an error."""
-        shape, radius = self._shape(joint), self._rolling_radius(joint)
-        if radius is None:
-            wanted = "expected a cylinder, a sphere or a mesh as its wheel, found none"
-            message = self._unread.get(joint.name, wanted)
-            line = self._radius_line([joint], usual_radius(self.tree, [joint]))
-            self._findings.ask([joint], f"{message};", line)
-            return None
-        default = self._roles.tube
-        if shape is not None:
-            default = radius if shape.kind == "sphere" else shape.tube or default
-        tube = default if role.tube is None else role.tube
-        if tube > radius:
-            message = f"expected a tube of at most the radius, {radius:g} m, found {tube:g}"
-            self._findings.wrong(joint, f"{message}; reduce it")
-            return None
-        if shape is None:
-            return radius, tube, ORIGIN
-        turns = joint.moves and self.tree.is_level(joint)
-        if turns and eccentricity(shape, unit_vector(joint.axis)) > MAX_ECCENTRICITY:
-            at = ", ".join(f"{x:g}" for x in shape.at)
-            self._findings.wrong(
-                joint,
-                f"expected a wheel shape centred on its axis, found a {shape.kind} at ({at}) m; "
-                "move the shape or the axis",
-            )
-            return None
-        return radius, tube, shape.at
-
     def _mass(self, joint: UrdfJoint) -> tuple[float, tuple[float, float] | None]:
         """Return mass and moments about and across the axle of a wheel with the links fixed to it.
 
@@ -638,9 +619,13 @@ def casters(
             parts = [part for part in parts if part.name not in excluded]
             if known.isdisjoint(names) and (contact := _lowest_part(tree, parts, ground)):
                 part, radius, reason = contact
-                trail = wheel_evidence(WheelRole(radius=radius), "trail")
-                is_ball = not _trails(tree, joint, part)
-                yield part.name, names, _ball(radius, reason) if is_ball else trail
+                discs = [s for s in tree.links[part.child].shapes[:1] if s.kind != "sphere"]
+                offset = (tree.frames[part.child][1] - tree.frames[joint.child][1])[:2]
+                swivels_below = joint.moves and not tree.is_level(joint)
+                if swivels_below and discs and np.hypot(*offset) > TRAIL * discs[0].radius:
+                    yield part.name, names, wheel_evidence(WheelRole(radius=radius), "trail")
+                else:
+                    yield part.name, names, _ball(radius, reason)
             known |= names
         elif tree.is_last(joint) and [shape.kind for shape in shapes] == ["sphere"]:
             radius = shapes[0].radius
@@ -682,15 +667,6 @@ def _lowest_part(
         return parts[index], radius, reason
     height = float(tree.frames[parts[-1].child][1][2]) - ground
     return (parts[-1], height, "radius to the ground of the wheels") if height > 0 else None
-
-
-def _trails(tree: Tree, head: UrdfJoint, part: UrdfJoint) -> bool:
-    """Return whether a part of a caster is a disc beside the axis of the swivel above it."""
-    shapes = tree.links[part.child].shapes
-    if not head.moves or tree.is_level(head) or not shapes or shapes[0].kind == "sphere":
-        return False
-    offset = (tree.frames[part.child][1] - tree.frames[head.child][1])[:2]
-    return float(np.hypot(*offset)) > TRAIL * shapes[0].radius
 
 
 def with_separate_balls(tree: Tree) -> Tree:

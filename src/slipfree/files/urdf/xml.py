@@ -161,8 +161,12 @@ def parse_robot(data: bytes, file: str) -> Element:
             f"{file}:{root.line}: expected URDF with the root element <robot>, found <{root.tag}>; "
             "give a URDF file"
         )
-    if (line := _line_of_sdf(root)) is not None:
-        _refuse(f"{file}:{line}", "sdf")
+    parts = [part for part in root.children if part.tag in ("link", "joint")]
+    inside = [each for part in parts for each in (part, *part.children) if each.tag != "sensor"]
+    for each in [*root.children, *(value for part in inside for value in part.children)]:
+        is_value = each.texts and not {"value", "link"} & {*each.attributes}
+        if is_value and each.tag in ("static", "pose", "parent", "child", "mass"):
+            _refuse(f"{file}:{each.line}", "sdf")  # which has values as text
     tags = {each.tag for each in root.children}
     if "link" not in tags and {"group", "virtual_joint", "disable_collisions"} & tags:
         _refuse(f"{file}:{root.line}", "srdf")
@@ -172,15 +176,3 @@ def parse_robot(data: bytes, file: str) -> Element:
 def _refuse(where: str, kind: str) -> None:
     found = REFUSED[kind]
     raise DataError(f"{where}: expected URDF, found {found.name}, which is not read; {found.robot}")
-
-
-def _line_of_sdf(robot: Element) -> int | None:
-    """Return the line of an element of SDF in a robot, with its value as text; None without one."""
-    parts = [part for part in robot.children if part.tag in ("link", "joint")]
-    inside = [each for part in parts for each in (part, *part.children) if each.tag != "sensor"]
-    values = [each for part in inside for each in part.children]
-    for each in [*robot.children, *values]:
-        is_value = each.texts and not {"value", "link"} & {*each.attributes}
-        if is_value and each.tag in ("static", "pose", "parent", "child", "mass"):
-            return each.line
-    return None

@@ -48,10 +48,17 @@ from slipfree.fit.drive_fit import (
     score_kinds,
     sought_of,
 )
-from slipfree.fit.drives import DriveLog, Slopes, by_runs, conditions, held_for, without_holds
+from slipfree.fit.drives import (
+    DriveLog,
+    Model,
+    Slopes,
+    by_runs,
+    conditions,
+    held_for,
+    without_holds,
+)
 from slipfree.fit.estimate import BALANCE, WEAK, Estimate, Unknown
 from slipfree.fit.force_balance import chassis_of, track, with_dimensions
-from slipfree.fit.prediction import Model
 from slipfree.problem.build import moves_sideways
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_vehicle import build_vehicle
