@@ -89,7 +89,16 @@ def atlas(
         "terrain.friction": None if friction is None else _toml(friction),
     }
     own = [f"{key}={value}" for key, value in values.items() if value is not None]
-    own += map(_bounds_setting, within or [])
+    for words in within or []:
+        name, equals, bounds = words.partition("=")
+        low, dots, high = bounds.partition("..")
+        if not (name and equals and dots):
+            raise DataError(
+                f"--within: expected NAME=LOW..HIGH, as in roll=-0.2..0.2, found {words!r}; "
+                "correct it"
+            )
+        ends = _toml(low, f"-{UNBOUNDED}"), _toml(high, UNBOUNDED)
+        own.append(f"atlas.within.{name}=[{', '.join(ends)}]")
     own += settings or []
     with as_arguments():
         if vehicle is not None:
@@ -131,18 +140,6 @@ def atlas(
 
         plots = outputs.draw(atlas_plots(view), figures)
         console.print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
-
-
-def _bounds_setting(words: str) -> str:
-    """Return the setting ``key=value`` that a value ``NAME=LOW..HIGH`` of --within stands for."""
-    name, equals, bounds = words.partition("=")
-    low, dots, high = bounds.partition("..")
-    if not (name and equals and dots):
-        raise DataError(
-            f"--within: expected NAME=LOW..HIGH, as in roll=-0.2..0.2, found {words!r}; correct it"
-        )
-    ends = _toml(low, f"-{UNBOUNDED}"), _toml(high, UNBOUNDED)
-    return f"atlas.within.{name}=[{', '.join(ends)}]"
 
 
 def _toml(text: str, default: str = "") -> str:

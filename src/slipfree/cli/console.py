@@ -196,10 +196,16 @@ def _collecting(name: str, options: OutputOptions) -> Iterator[None]:
     output = _CommandOutput(options)
     _running.append(output)
     code = STOPPED
+
+    def warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
+        known = output.content.get("warnings", ())
+        if not set(str(message).splitlines()) <= set(known):
+            warn(str(message))
+
     hidden = redirect_stdout(io.StringIO()) if options.quiet or options.json else nullcontext()
     try:
         with hidden, warnings.catch_warnings():
-            warnings.showwarning = _warn_once
+            warnings.showwarning = warn_once
             yield
         code = DONE
     except typer.Exit as end:
@@ -325,11 +331,6 @@ def warn(words: str) -> None:
     add_json_lines("warnings", words)
     if not _current_output().options.quiet:
         print_line(f"warning: {words}", err=True)
-
-
-def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
-    if not set(str(message).splitlines()) <= set(_current_output().content.get("warnings", ())):
-        warn(str(message))
 
 
 def print_error(words: str) -> None:

@@ -24,7 +24,6 @@ from slipfree.system.regular_files import check_name, make_folder, replace_file
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-    from slipfree.terrain.base import Grid
 
 STARTERS = "starters"  # folder of the templates in the package
 HOLE = "FILE"  # placeholder of the file name in the comments of a template
@@ -114,25 +113,23 @@ def new(
         if kind != "atlas":
             tables["start"] = {**place, "heading": f"{math.degrees(heading) % 360:g} deg"}
         if kind == "plan":
-            reach = extents(build_vehicle(problem))[2]
-            tables["goal"] = _goal(surface.grid, place, heading, reach)
+            # ahead, left, right or behind: the farthest place that is on the map
+            reach, goals = extents(build_vehicle(problem))[2], []
+            axes = ("x", surface.grid.x, math.cos), ("y", surface.grid.y, math.sin)
+            for turn in (0.0, 0.5, -0.5, 1.0):
+                angle, goal = heading + turn * math.pi, dict[str, float]()
+                for each, axis, way in axes:
+                    margin = min(reach, float(axis[-1] - axis[0]) / 2)
+                    low, high = float(axis[0]) + margin, float(axis[-1]) - margin
+                    goal[each] = min(max(place[each] + AHEAD * reach * way(angle), low), high)
+                goals.append({each: round(value, 3) for each, value in goal.items()})
+            tables["goal"] = max(
+                goals, key=lambda goal: round(math.dist(place.values(), goal.values()), 2)
+            )
         text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
     write_new_file(text, out, force)
     solve = "atlas" if kind == "atlas" else "run"
     print_line(f"wrote {out}: slipfree check {word} && slipfree {solve} {word}")
-
-
-def _goal(grid: Grid, place: Mapping[str, float], heading: float, reach: float) -> dict[str, float]:
-    goals = []
-    for turn in (0.0, 0.5, -0.5, 1.0):
-        angle = heading + turn * math.pi
-        goal = dict[str, float]()
-        for name, axis, way in zip("xy", (grid.x, grid.y), (math.cos, math.sin), strict=True):
-            margin = min(reach, float(axis[-1] - axis[0]) / 2)
-            low, high = float(axis[0]) + margin, float(axis[-1]) - margin
-            goal[name] = round(min(max(place[name] + AHEAD * reach * way(angle), low), high), 3)
-        goals.append(goal)
-    return max(goals, key=lambda goal: round(math.dist(place.values(), goal.values()), 2))
 
 
 def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, dict[str, Any]]) -> str:
@@ -160,13 +157,13 @@ def write_new_file(text: str, out: Path, force: bool) -> None:
     add_json_file(out)
 
 
-def _complete(begun: str) -> list[str]:
-    return [name for name in _shipped() if name.startswith(begun)]
-
-
 def examples(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME", autocompletion=_complete)
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME",
+            autocompletion=lambda incomplete: [k for k in _shipped() if k.startswith(incomplete)],
+        ),
     ] = None,
     to: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
     force: Force = False,
@@ -193,14 +190,45 @@ def examples(
         add_json("examples", lambda: rows)
         print_line("\ncopy one: slipfree examples NAME; all: slipfree examples --to DIR")
         return
-    wanted = dict.fromkeys(name.removesuffix(".toml") for name in names or shipped)
-    for name in wanted:
+    waiting = [*dict.fromkeys(name.removesuffix(".toml") for name in names or shipped)]
+    for name in waiting:
         if name not in shipped:
             raise DataError(
                 f"NAME: expected the name of a shipped problem, found {name!r}; "
                 f"{similar(name, list(shipped))}list them with slipfree examples"
             )
-    _copy([*wanted], shipped, Path() if to is None else to, force)
+
+    def named(table: Mapping[str, Any]) -> Iterator[str]:
+        for key, value in table.items():
+            if isinstance(value, Mapping):
+                yield from named(value) if key != "output" else ()
+            elif key in NEED and isinstance(value, str):
+                yield value
+
+    # with the problems and the data files that they name
+    texts = dict[str, str]()
+    while waiting:
+        name = waiting.pop()
+        texts[f"{name}.toml"] = text = shipped[name].read_text(encoding="utf-8")
+        above = PurePosixPath(name).parent
+        for each in {(above / file).as_posix() for file in named(tomllib.loads(text))} - {*texts}:
+            if (other := each.removesuffix(".toml")) in shipped:
+                waiting.append(other)
+            elif (content := _folder() / each).is_file():
+                texts[each] = content.read_text(encoding="utf-8")
+    places = {(to or Path()) / name: text for name, text in sorted(texts.items())}
+    for out in places:
+        check_name(out)
+    taken = [str(out) for out in places if out.exists()]
+    if taken and not force:
+        raise DataError(
+            f"examples: expected new files, found existing: {', '.join(taken)}; use --force to "
+            "replace, or choose another folder: --to DIR"
+        )
+    for out, text in places.items():
+        make_folder(out.parent, "choose another folder: --to DIR")
+        write_new_file(text, out, force)
+        print_line(f"wrote {out}")
 
 
 def _shipped() -> dict[str, Traversable]:
@@ -218,38 +246,3 @@ def _folder(name: str = SHIPPED) -> Traversable:
     from importlib.resources import files
 
     return files("slipfree") / name
-
-
-def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force: bool) -> None:
-    """Copy shipped problems, with the problems and the data files that they name, to a folder."""
-    texts = {}
-    while wanted:
-        name = wanted.pop()
-        texts[f"{name}.toml"] = text = shipped[name].read_text(encoding="utf-8")
-        above = PurePosixPath(name).parent
-        for each in {(above / file).as_posix() for file in _files(tomllib.loads(text))} - {*texts}:
-            if (other := each.removesuffix(".toml")) in shipped:
-                wanted.append(other)
-            elif (data := _folder() / each).is_file():
-                texts[each] = data.read_text(encoding="utf-8")
-    places = {to / name: text for name, text in sorted(texts.items())}
-    for out in places:
-        check_name(out)
-    taken = [str(out) for out in places if out.exists()]
-    if taken and not force:
-        raise DataError(
-            f"examples: expected new files, found existing: {', '.join(taken)}; use --force to "
-            "replace, or choose another folder: --to DIR"
-        )
-    for out, text in places.items():
-        make_folder(out.parent, "choose another folder: --to DIR")
-        write_new_file(text, out, force)
-        print_line(f"wrote {out}")
-
-
-def _files(table: Any) -> Iterator[str]:
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            yield from _files(value) if key != "output" else ()
-        elif key in NEED and isinstance(value, str):
-            yield value

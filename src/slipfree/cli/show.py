@@ -8,7 +8,6 @@ import sys
 import tempfile
 import threading
 import webbrowser
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -70,9 +69,26 @@ def show(
     check_outputs([picture], files, endings=PICTURES)
     if has_page := html is not None or (animation is None and picture is None):
         require("viser", "view", "show: ")
+    from slipfree.core.trajectory import SCENE_SAMPLES
+    from slipfree.problem.load import verb_of
+    from slipfree.problem.result import open_result
     from slipfree.show.scene import drive_scene
 
-    motions = _read(files)
+    results, motions = list[Any](), list[Any]()
+    for file in files:
+        with console.about(file):
+            results.append(open_result(file, samples=SCENE_SAMPLES))
+    # names that differ
+    models = [str(each.trajectory.attributes.get("model", "")) for each in results]
+    names = [file.stem for file in files]
+    if len({*names}) < len(names):
+        names = [str(file) for file in files]
+    names = [escape_name(name) for name in names]
+    if len({*models}) > 1:
+        names = [f"{n} ({model})" if model else n for n, model in zip(names, models, strict=True)]
+    for file, name, result in zip(files, names, results, strict=True):
+        with console.about(file):
+            motions.append(verb_of(result.problem).shown(result, name))
     title = motions[0].run.attributes.get("title", motions[0].name)
     with console.about(files[0]):
         scene = drive_scene(motions, with_poses=color == "traversability")
@@ -114,29 +130,6 @@ def _write_page(file: Path, text: str) -> None:
 
     replace_file(file, write)
     console.add_json_file(file)
-
-
-def _read(files: Sequence[Path]) -> list[Any]:
-    """Return the motions of result files for the viewer, under names that differ."""
-    from slipfree.core.trajectory import SCENE_SAMPLES
-    from slipfree.problem.load import verb_of
-    from slipfree.problem.result import open_result
-
-    results, motions = [], []
-    for file in files:
-        with console.about(file):
-            results.append(open_result(file, samples=SCENE_SAMPLES))
-    models = [str(each.trajectory.attributes.get("model", "")) for each in results]
-    names = [file.stem for file in files]
-    if len({*names}) < len(names):
-        names = [str(file) for file in files]
-    names = [escape_name(name) for name in names]
-    if len({*models}) > 1:
-        names = [f"{n} ({model})" if model else n for n, model in zip(names, models, strict=True)]
-    for file, name, result in zip(files, names, results, strict=True):
-        with console.about(file):
-            motions.append(verb_of(result.problem).shown(result, name))
-    return motions
 
 
 def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:
@@ -201,10 +194,28 @@ def edit(
         Planning problem (TOML).
     """
     from slipfree.files.urdf.xacro import trusted_paths
-    from slipfree.problem.plan_edit import Desk, read_document, state_of
+    from slipfree.problem.build_ground import build_ground
+    from slipfree.problem.build_vehicle import build_vehicle
+    from slipfree.problem.plan_edit import PLACES, Desk, read_document, state_of, way_points_in
+    from slipfree.show.html_page import plan_page
     from slipfree.show.local_server import Gate, json_content, start_server
 
-    desk = Desk(read_document(file, trusted_paths(trust or [])), _page_drawer())
+    last: tuple[object, PlanPage] | None = None
+
+    def draw(document: Document) -> PlanPage:
+        """Draw the page of a document, again only if other keys changed."""
+        nonlocal last
+        problem = document.problem
+        spec, file = problem.spec, document.path
+        others = spec.model_dump(exclude={*PLACES})
+        if last is None or last[0] != others:
+            drawn = build_ground(problem).grid, build_vehicle(problem)
+            more: dict[str, Any] = {"way_points": way_points_in(problem)}
+            more["north_heading"] = spec.frame == "paper"
+            last = others, plan_page(spec.title or file.stem, file, *drawn, **more)
+        return last[1]
+
+    desk = Desk(read_document(file, trusted_paths(trust or [])), draw)
     get = {
         "/": lambda: desk.session.page.html,
         "/map.png": lambda: desk.session.page.image,
@@ -225,27 +236,3 @@ def edit(
         desk.close()
         server.shutdown()
         server.server_close()
-
-
-def _page_drawer() -> Callable[[Document], PlanPage]:
-    """Return a function that draws the page of a document, again only if other keys changed."""
-    from slipfree.problem.build_ground import build_ground
-    from slipfree.problem.build_vehicle import build_vehicle
-    from slipfree.problem.plan_edit import PLACES, way_points_in
-    from slipfree.show.html_page import plan_page
-
-    last: tuple[object, PlanPage] | None = None
-
-    def draw(document: Document) -> PlanPage:
-        nonlocal last
-        problem = document.problem
-        spec, file = problem.spec, document.path
-        others = spec.model_dump(exclude={*PLACES})
-        if last is None or last[0] != others:
-            drawn = build_ground(problem).grid, build_vehicle(problem)
-            more: dict[str, Any] = {"way_points": way_points_in(problem)}
-            more["north_heading"] = spec.frame == "paper"
-            last = others, plan_page(spec.title or file.stem, file, *drawn, **more)
-        return last[1]
-
-    return draw

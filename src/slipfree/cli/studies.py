@@ -322,6 +322,7 @@ def sweep(
         choose_figures,
         drawn_grids,
         grids,
+        plan_facts,
         run_sweep,
         sweep_facts,
         sweep_of,
@@ -334,7 +335,18 @@ def sweep(
         plan = sweep_of(file, vary or [], settings or [], repeat, seed, checked, trust or [])
     folder = out or Path(f"{plan.problem.source.path.stem}_sweep")
     if dry_run:
-        _print_plan(plan, folder, processes or available_cores())
+        facts, left, needed = plan_facts(plan), plan.count, "not known before the first run"
+        if (folder / LOG).is_file():
+            with Rows(folder, plan.count, plan.head) as rows:
+                left -= len(rows)
+                facts.append(("finished", f"{len(rows)} in {folder}"))
+                if len(rows):
+                    each = sum(row.seconds for row in rows) / len(rows)
+                    at_once = processes or available_cores()
+                    about_all = console.duration(left * each / at_once)
+                    count = "1 process" if at_once == 1 else f"{at_once} processes"
+                    needed = f"about {about_all}: {each:.3g} s per run on {count}"
+        console.print_facts([*facts, ("time", needed if left else "all runs are finished")])
         return
     reads = [*plan.files.stamps, *files_read(plan.problem)]
     check_outputs([], reads, folder=folder, names=("table.csv", "run_*.nc", LOG))
@@ -374,24 +386,6 @@ def sweep(
             console.print_line(f"drew {len(paths)} files in {folder / FIGURES}")
     if rows.ended(FAILED, LOST):
         raise typer.Exit(console.STOPPED)
-
-
-def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
-    """Print the size of a sweep and the time that its remaining runs will take."""
-    from slipfree.sweep import Rows, plan_facts
-    from slipfree.system.parts import LOG
-
-    facts, left, words = plan_facts(plan), plan.count, "not known before the first run"
-    if (folder / LOG).is_file():
-        with Rows(folder, plan.count, plan.head) as rows:
-            left -= len(rows)
-            facts.append(("finished", f"{len(rows)} in {folder}"))
-            if len(rows):
-                each = sum(row.seconds for row in rows) / len(rows)
-                about_all = console.duration(left * each / processes)
-                count = "1 process" if processes == 1 else f"{processes} processes"
-                words = f"about {about_all}: {each:.3g} s per run on {count}"
-    console.print_facts([*facts, ("time", words if left else "all runs are finished")])
 
 
 def _warn_missing(plan: Sweep, rows: Rows) -> None:

@@ -117,10 +117,18 @@ def _checked_call(
         try:
             bound = signature.bind(*args, **named)
         except TypeError as error:
-            raise ModelError(f"{name}: {_call_words(signature, named, error)}") from None
+            known = [each for each in signature.parameters if each != "self"]
+            words = f"the arguments {', '.join(known)}, found {error}; correct the call"
+            if others := [each for each in named if each not in known]:
+                words = f"arguments among {', '.join(known)}, found {others[0]!r}; "
+                words += f"{similar(others[0], known)}correct it"
+            raise ModelError(f"{name}: expected {words}") from None
         given, caller = bound.arguments, sys._getframe(1).f_globals.get("__name__", "")
         is_outer = not caller.startswith(PACKAGE)
-        context = _Context(owner is not None, _units(given) if is_outer else None)
+        # units of the quantities of a model among the arguments
+        units = [getattr(getattr(each, "model", each), "units", None) for each in given.values()]
+        own = next((each for each in units if isinstance(each, Mapping)), {})
+        context = _Context(owner is not None, own if is_outer else None)
         for parameter, value in given.items():
             hint = hints().get(parameter, Any)
             try:
@@ -143,16 +151,6 @@ def _checked_call(
     return call
 
 
-def _call_words(signature: inspect.Signature, named: Mapping[str, Any], error: TypeError) -> str:
-    """Return a message about an unknown, missing or surplus argument."""
-    known = [name for name in signature.parameters if name != "self"]
-    for name in named:
-        if name not in known:
-            hint = similar(name, known)
-            return f"expected arguments among {', '.join(known)}, found {name!r}; {hint}correct it"
-    return f"expected the arguments {', '.join(known)}, found {error}; correct the call"
-
-
 def _exchange(parameter: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> str:
     """Return the remedy for two exchanged arguments; empty if no exchange helps."""
 
@@ -167,15 +165,6 @@ def _exchange(parameter: str, given: Mapping[str, Any], hints: Mapping[str, Any]
         if fits(parameter, value) and fits(other, given[parameter]) and not fits(other, value):
             return f"exchange {parameter!r} and {other!r}"
     return ""
-
-
-def _units(given: Mapping[str, Any]) -> Mapping[str, str]:
-    """Return the units of the quantities of the model among some arguments."""
-    for value in given.values():
-        units = getattr(getattr(value, "model", value), "units", None)
-        if isinstance(units, Mapping):
-            return units
-    return {}
 
 
 def _converted(hint: Any, value: Any, place: str, context: _Context) -> Any:

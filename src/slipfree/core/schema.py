@@ -64,10 +64,14 @@ def keys_of(kind: Callable[..., Any]) -> tuple[Key, ...]:
     else:
         parameters = inspect.signature(kind).parameters.values()
         defaults = {p.name: MISSING if p.default is p.empty else p.default for p in parameters}
-    known = meanings(kind)
-    return tuple(
-        _key(name, hints[name], default, known.get(name, "")) for name, default in defaults.items()
-    )
+    known, keys = meanings(kind), list[Key]()
+    for name, default in defaults.items():
+        notes = getattr(hints[name], "__metadata__", ())
+        first = re.split(r"\. | \[[^][]*\]$", known.get(name, ""))[0]
+        unit = next((note.unit for note in notes if isinstance(note, Unit)), "")
+        meaning = next((note.documentation for note in notes if isinstance(note, DocInfo)), first)
+        keys.append(Key(name, hints[name], default, unit, meaning))
+    return tuple(keys)
 
 
 def descriptions(kind: Callable[..., Any]) -> dict[str, str]:
@@ -91,10 +95,3 @@ def meanings(kind: Callable[..., Any]) -> dict[str, str]:
         words = re.sub(r"\.( \[[^][]*\])?$", r"\1", words.replace("`", ""))
         found[name] = words[:1].lower() + words[1:] if re.match("[A-Z][a-z]", words) else words
     return found
-
-
-def _key(name: str, hint: Any, default: Any, text: str) -> Key:
-    notes, first = getattr(hint, "__metadata__", ()), re.split(r"\. | \[[^][]*\]$", text)[0]
-    unit = next((note.unit for note in notes if isinstance(note, Unit)), "")
-    meaning = next((note.documentation for note in notes if isinstance(note, DocInfo)), first)
-    return Key(name, hint, default, unit, meaning)

@@ -497,13 +497,10 @@ def thin(run: Trajectory, count: int) -> Trajectory:
         return run
     kept = {int(k) for k in np.linspace(0, run.t.size - 1, count).round()}
     for column in run.columns.values():
-        kept |= {k for values in np.atleast_2d(column.values.T) for k in _extremes(values)}
+        for values in np.atleast_2d(column.values.T):
+            if (known := np.flatnonzero(~np.isnan(values))).size:
+                ends = values[known].argmin(), values[known].argmax()
+                kept |= {int(known[k]) for k in ends}
     span = np.array(sorted(kept))
     columns = {k: Column(c.label, c.values[span]) for k, c in run.columns.items()}
     return replace(run, t=run.t[span], columns=columns)
-
-
-def _extremes(values: Array) -> list[int]:
-    known = np.flatnonzero(~np.isnan(values))
-    ends = (values[known].argmin(), values[known].argmax()) if known.size else ()
-    return [int(known[k]) for k in ends]

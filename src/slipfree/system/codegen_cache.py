@@ -270,7 +270,18 @@ def _compile(
         raise _UnavailableError(
             f"{shlex.join(command)}: the C compiler {how}; set CC to another C compiler"
         ) from error
-    _remove_old(cache)
+    # the least recently used libraries, and the leftovers of interrupted compilations
+    ages = dict[Path, float]()
+    for file in cache.iterdir():
+        with suppress(OSError):  # another process may remove it at the same time
+            ages[file] = file.stat().st_mtime
+    libraries = sorted((each for each in ages if each.suffix == ".so"), key=lambda f: -ages[f])
+    for file in libraries[MAX_LIBRARIES:]:
+        with suppress(OSError):
+            file.unlink()
+    for file in ages:
+        if file.name.startswith(SCRATCH_PREFIX) and ages[file] < time.time() - 2 * COMPILER_TIMEOUT:
+            shutil.rmtree(file, ignore_errors=True)
 
 
 def _run(command: Sequence[str]) -> None:
@@ -297,19 +308,3 @@ def _run(command: Sequence[str]) -> None:
             raise
     if code:
         raise subprocess.CalledProcessError(code, command)
-
-
-def _remove_old(cache: Path) -> None:
-    ages = dict[Path, float]()
-    for file in cache.iterdir():
-        with suppress(OSError):  # another process may remove it at the same time
-            ages[file] = file.stat().st_mtime
-    libraries = sorted(
-        (file for file in ages if file.suffix == ".so"), key=lambda file: -ages[file]
-    )
-    for file in libraries[MAX_LIBRARIES:]:
-        with suppress(OSError):
-            file.unlink()
-    for file in ages:
-        if file.name.startswith(SCRATCH_PREFIX) and ages[file] < time.time() - 2 * COMPILER_TIMEOUT:
-            shutil.rmtree(file, ignore_errors=True)

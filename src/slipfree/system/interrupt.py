@@ -177,27 +177,26 @@ def interrupt_arrived() -> None:
     _ended.append(True)
 
 
-def _repeat_signal() -> None:
-    """Repeat the last signal until its exception has ended the command.
-
-    CasADi and the garbage collector drop exceptions that are raised while they call Python.
-    """
-    time.sleep(REPEAT)
-    while not _ended:
-        os.kill(os.getpid(), _received[-1])
-        time.sleep(REPEAT)
-
-
 def interrupt_at_signals() -> None:
     """Let SIGTERM and SIGHUP interrupt this process as Ctrl-C does, even if it ignores Ctrl-C."""
     is_ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     _received.clear()
     _ended.clear()
 
+    def repeat_signal() -> None:
+        """Repeat the last signal until its exception has ended the command.
+
+        CasADi and the garbage collector drop exceptions that are raised while they call Python.
+        """
+        time.sleep(REPEAT)
+        while not _ended:
+            os.kill(os.getpid(), _received[-1])
+            time.sleep(REPEAT)
+
     def interrupt(number: int, _frame: FrameType | None) -> None:
         if not _ended and (number != signal.SIGINT or not is_ignored):
             if not _received:
-                threading.Thread(target=_repeat_signal, daemon=True).start()
+                threading.Thread(target=repeat_signal, daemon=True).start()
             _received.append(number)
             raise KeyboardInterrupt
 

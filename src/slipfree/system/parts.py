@@ -91,7 +91,14 @@ class Parts(Generic[D]):
         except OSError as error:
             raise self._unwritable(error) from error
         try:
-            self._lock()
+            if fcntl is not None:  # until the log is closed or this process ends
+                try:
+                    fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except OSError as error:
+                    raise DataError(
+                        f"{self._log}: expected a log that no other process writes, found one in "
+                        f"use; wait until the other {identity.kind} ends, or {ANOTHER_FOLDER}"
+                    ) from error
             for file in folder.glob(TEMPORARY):  # of a killed process: the lock excludes others
                 file.unlink(missing_ok=True)
             self._read()
@@ -201,18 +208,6 @@ class Parts(Generic[D]):
             line: dict[str, Any] = json.loads(stream.readline())
         return line
 
-    def _lock(self) -> None:
-        """Lock the log for other processes until it is closed or this process ends."""
-        if fcntl is None:
-            return
-        try:
-            fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise DataError(
-                f"{self._log}: expected a log that no other process writes, found one in use; wait "
-                f"until the other {self._identity.kind} ends, or {ANOTHER_FOLDER}"
-            ) from error
-
     def _read(self) -> None:
         """Read the log, remove an incomplete line at its end, and begin it if it is empty."""
         self._stream.seek(0)
@@ -221,21 +216,23 @@ class Parts(Generic[D]):
             if not line.endswith(b"\n"):
                 self._stream.truncate(offset)
                 break
-            record = _parsed(line)
+            record: Any = None
+            with suppress(ValueError, RecursionError):  # a damaged line
+                record = json.loads(line)
+            record = record if isinstance(record, dict) else {}
+            number = record.get(PART)
             if not offset:
                 self._check(record)
-            elif self._is_part(record):
-                self._offsets[record[PART]] = offset
+            elif (
+                isinstance(number, int)
+                and 1 <= number <= self.size
+                # line and file of the part are as they were written
+                and record.pop(DIGEST, None) == self._digest(record)
+            ):
+                self._offsets[number] = offset
             offset += len(line)
         if not offset:
             self._write(self._identity.head)
-
-    def _is_part(self, line: dict[str, Any]) -> bool:
-        """Return whether a line and the file of its part are as they were written."""
-        number = line.get(PART)
-        if not isinstance(number, int) or not 1 <= number <= self.size:
-            return False
-        return bool(line.pop(DIGEST, None) == self._digest(line))
 
     def _digest(self, line: Mapping[str, Any]) -> str:
         digest = sha256(json.dumps(line, sort_keys=True).encode())
@@ -252,11 +249,14 @@ class Parts(Generic[D]):
                 f"else; {ANOTHER_FOLDER}, or remove this file"
             )
         for key, value in head.items():
-            if found.get(key) != value:
+            if (old := found.get(key)) != value:
+                words = ": {}, now {}".format(*(shortened(json.dumps(v), 60) for v in (old, value)))
+                if isinstance(old, dict) and isinstance(value, dict):  # files, or varied keys
+                    names = [n for n in {**old, **value} if n and old.get(n) != value.get(n)]
+                    words = f": {', '.join(names)}" if names else ""
                 raise DataError(
                     f"{self._log}: expected results of this {kind}, found some with another "
-                    f"{known.get(key, key)}{_difference(found.get(key), value)}; {ANOTHER_FOLDER}, "
-                    "or remove this file"
+                    f"{known.get(key, key)}{words}; {ANOTHER_FOLDER}, or remove this file"
                 )
 
     def _write(self, line: Mapping[str, Any]) -> int:
@@ -377,20 +377,3 @@ def _numbered(function: Callable[[T], D], numbered: tuple[int, T]) -> tuple[int,
 
 def _lost(lost: Callable[[T, str], D], numbered: tuple[int, T], why: str) -> tuple[int, D]:
     return numbered[0], lost(numbered[1], why)
-
-
-def _parsed(line: bytes) -> dict[str, Any]:
-    """Return the object in a line of JSON; an empty one if there is none."""
-    try:
-        record = json.loads(line)
-    except (ValueError, RecursionError):
-        return {}
-    return record if isinstance(record, dict) else {}
-
-
-def _difference(old: Any, new: Any) -> str:
-    """Return a text with the former and the new value of a key in the first line of a log."""
-    if isinstance(old, dict) and isinstance(new, dict):  # files, or varied keys
-        names = [name for name in {**old, **new} if name and old.get(name) != new.get(name)]
-        return f": {', '.join(names)}" if names else ""
-    return ": {}, now {}".format(*(shortened(json.dumps(value), 60) for value in (old, new)))

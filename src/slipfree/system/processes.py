@@ -359,17 +359,16 @@ def available_cores() -> int:
 
 def prepare_process() -> None:
     """Prepare a new process: ignore Ctrl-C and warnings, print to stderr, exit with the parent."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+    def end_with_parent() -> None:  # even in the middle of a run
+        if (parent := parent_process()) is not None:
+            wait([parent.sentinel])
+            os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C in the terminal
     warnings.simplefilter("ignore")  # the parent reports them
     os.dup2(2, 1)  # output of solvers must not get into the summary
-
-
-def _end_with_parent() -> None:
-    """End this process, even in the middle of a run, as soon as its parent ends."""
-    if (parent := parent_process()) is not None:
-        wait([parent.sentinel])
-        os._exit(1)
 
 
 def bounded_call(
@@ -405,7 +404,14 @@ def bounded_call(
     except subprocess.TimeoutExpired as error:
         raise ProcessDiedError(f"it takes longer than {seconds:.3g} s") from error
     finally:
-        _kill_group(process)
+        if sys.platform != "win32":
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid, signal.SIGKILL)
+        process.kill()
+        for stream in (process.stdin, process.stdout):
+            if stream is not None:
+                stream.close()
+        process.wait()
     if process.returncode == -getattr(signal, "SIGXCPU", 0):
         raise ProcessDiedError(f"it takes longer than {seconds:.3g} s")
     if not answer:
@@ -471,30 +477,13 @@ def _answer(seconds: float, memory: int) -> None:
     try:
         function, arguments = pickle.load(sys.stdin.buffer)
         answer = pickle.dumps((True, function(*arguments)))
+    except MemoryError:
+        answer = pickle.dumps((False, MemoryError()))
     except Exception as error:
-        answer = _pickled_error(error)
+        try:
+            answer = pickle.dumps((False, error.with_traceback(None)))
+            pickle.loads(answer)
+        except Exception:  # it cannot be pickled
+            answer = pickle.dumps((False, SlipfreeError(f"{type(error).__name__}: {error}")))
     with out:
         out.write(answer)
-
-
-def _pickled_error(error: Exception) -> bytes:
-    """Return an exception for the parent; one that cannot be pickled becomes a SlipfreeError."""
-    if isinstance(error, MemoryError):
-        return pickle.dumps((False, MemoryError()))
-    try:
-        pickled = pickle.dumps((False, error.with_traceback(None)))
-        pickle.loads(pickled)
-    except Exception:
-        return pickle.dumps((False, SlipfreeError(f"{type(error).__name__}: {error}")))
-    return pickled
-
-
-def _kill_group(process: subprocess.Popen[bytes]) -> None:
-    if sys.platform != "win32":
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid, signal.SIGKILL)
-    process.kill()
-    for stream in (process.stdin, process.stdout):
-        if stream is not None:
-            stream.close()
-    process.wait()

@@ -35,9 +35,19 @@ def regular_file(path: Path, expected: str) -> Iterator[int]:
     problem file"``. DataError is raised if the file does not exist, is not a regular file, or
     cannot be read.
     """
-    size = _checked_size(path, expected)
     try:
-        yield size
+        status = path.stat()
+    except (OSError, ValueError) as error:  # ValueError: a null character
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise _unreadable(path, expected, reason) from error
+    if not stat.S_ISREG(status.st_mode):
+        kind = KINDS.get(stat.S_IFMT(status.st_mode), "something else")
+        remedy = "check the name"
+        if not stat.S_ISDIR(status.st_mode):
+            remedy = "write the contents to a file first (/dev/stdin and <(...) are not accepted)"
+        raise DataError(f"{path}: expected {expected}, found {kind}, not a regular file; {remedy}")
+    try:
+        yield status.st_size
     except OSError as error:
         raise _unreadable(path, expected, error.strerror or error) from error
 
@@ -87,22 +97,6 @@ def escape_name(name: str) -> str:
 def unescape_name(text: str) -> str:
     """Return the file name from a text that `escape_name` returned."""
     return re.sub(r"\\udc([89a-f][0-9a-f])", lambda found: chr(int(f"dc{found[1]}", 16)), text)
-
-
-def _checked_size(path: Path, expected: str) -> int:
-    """Return the size of a regular file in bytes; raise DataError for other kinds of files."""
-    try:
-        status = path.stat()
-    except (OSError, ValueError) as error:  # ValueError: a null character
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise _unreadable(path, expected, reason) from error
-    if stat.S_ISREG(status.st_mode):
-        return status.st_size
-    kind = KINDS.get(stat.S_IFMT(status.st_mode), "something else")
-    remedy = "check the name"
-    if not stat.S_ISDIR(status.st_mode):
-        remedy = "write the contents to a file first (/dev/stdin and <(...) are not accepted)"
-    raise DataError(f"{path}: expected {expected}, found {kind}, not a regular file; {remedy}")
 
 
 def _unreadable(path: Path, expected: str, reason: object) -> DataError:
