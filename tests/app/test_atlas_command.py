@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import rasterio
 
+from helpers.cases import ROOT
 from helpers.commands import pressing, printed, refused, sets
 from helpers.rasters import from_origin, geotiff
 from slipfree import Bicubic, catalog, direct_kinematics, read_map
@@ -383,7 +384,7 @@ def test_wrong_arguments_are_named(words, expected, monkeypatch):
 
 
 def test_the_example_of_the_page_runs(capsys):
-    page = (Path(__file__).parents[2] / "docs" / "howto" / "atlas.md").read_text()
+    page = (ROOT / "docs" / "howto" / "atlas.md").read_text()
     code = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[-1]
     exec(compile(code, "atlas.md", "exec"), {})
     assert re.match(r"held at \d\d% of the poses, slides at \d+%", capsys.readouterr().out)

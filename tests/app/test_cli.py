@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import slipfree
+from helpers.cases import ROOT
 from helpers.commands import invoke, refused, sets
 from helpers.problem_files import PROBLEM
 from slipfree.cli import app, console
@@ -21,7 +22,6 @@ from slipfree.core.trajectory import Outcome, SolverError, Stop
 from slipfree.files import netcdf
 from slipfree.system import forks
 
-ROOT = Path(__file__).parents[2]
 KINDS = ("direct", "inverse", "plan")
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.patches import Circle, Polygon
 
+from helpers.cases import PROBLEMS
 from helpers.climb_cases import AMPLE, RAMP, SENSED, TABLE_I, climb, foot
 from helpers.commands import invoke, sets
 from slipfree.catalog import step_climber
@@ -18,7 +19,6 @@ from slipfree.show.plots import draw
 from slipfree.terrain.solids import section_of
 
 pytestmark = pytest.mark.usefixtures("folder")
-PROBLEMS = Path(__file__).parents[2] / "problems"
 RAMP_FILE, STEP_FILE, STAIRS_FILE, PLAN_FILE = (
     PROBLEMS / f"climb_{name}.toml" for name in ("ramp", "step", "stairs", "plan_step")
 )

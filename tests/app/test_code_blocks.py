@@ -17,7 +17,6 @@ import subprocess
 import sys
 from functools import partial
 from itertools import count
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -27,6 +26,7 @@ import rasterio
 import typer
 
 import slipfree as sf
+from helpers.cases import ROOT
 from helpers.commands import printed
 from helpers.fuzz_files import document
 from slipfree import Analytic, SamplingTask, catalog, commanded, direct_kinematics, settle, simulate
@@ -38,7 +38,6 @@ from slipfree.files.vehicle_toml import file_of, validated
 from slipfree.problem.load import load_problem
 from slipfree.problem.wheel_test import read_wheel_file
 
-ROOT = Path(__file__).parents[2]
 PAGES = [
     ROOT / "README.md",
     *(page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts),

@@ -1,7 +1,6 @@
 """Tests of the comparison of axles in the paper: which can roll, and the slip of the others."""
 
 import re
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -9,14 +8,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 import slipfree as sf
-from helpers.cases import hills
+from helpers.cases import PROBLEMS, hills
 from helpers.commands import invoke
 from slipfree.catalog import three_wheeler
 from slipfree.models.samples import measured_slip
 from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.compare import compare
 
-FILE = Path(__file__).parents[2] / "problems" / "compare_axles.toml"
+FILE = PROBLEMS / "compare_axles.toml"
 CAN_ROLL = ("tilting", "sliding", "prismatic_undriven")
 FREEDOMS = {
     "tilting": 9,

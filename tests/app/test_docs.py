@@ -14,13 +14,13 @@ import pytest
 import typer
 
 import slipfree
+from helpers.cases import ROOT
 from helpers.commands import invoke
 from slipfree.cli import app
 from slipfree.files.toml import Record
 from slipfree.problem.load import VERBS
 from slipfree.problem.schema import law_tables
 
-ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)
 NOTEBOOKS = sorted(path.stem for path in (ROOT / "notebooks").glob("*.py"))
@@ -176,7 +176,7 @@ def test_links_lead_somewhere():
 
 # The cookbook: ten short recipes, and a script that needs no other imports than the page says
 
-PAGE = (Path(__file__).parents[2] / "docs" / "howto" / "cookbook.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "howto" / "cookbook.md").read_text(encoding="utf-8")
 CELL = r"```\{code-cell\} ipython3\n(.*?)```"
 SCRIPT = re.findall(CELL, PAGE, re.DOTALL)[-1]
 

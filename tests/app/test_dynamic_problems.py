@@ -1,11 +1,11 @@
 """Tests of problems with inertia on the command line: results, plans with momentum, and errors."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from helpers.cases import PROBLEMS
 from helpers.commands import invoke, printed, sets
 from helpers.dynamics import energy_error
 from slipfree import Bicubic, Outcome, Solids, catalog, load_problem, open_result, run_problem
@@ -16,7 +16,6 @@ from slipfree.problem.load import verb_of
 from slipfree.problem.verbs.plan import PlanVerb, with_offer
 from slipfree.show import plots
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 ROCKS = str(PROBLEMS / "dynamics_rocks.toml")
 
 
@@ -169,7 +168,7 @@ def test_an_obstacle_stands_where_the_file_says():
 
 # Problem files for plans with momentum
 
-MOMENTUM = Path(__file__).parents[2] / "problems" / "plan_momentum.toml"
+MOMENTUM = PROBLEMS / "plan_momentum.toml"
 SHORT = ("goal.y=1.5", "time.duration=1.25", "plan.intervals=6", "plan.degree=2")
 
 

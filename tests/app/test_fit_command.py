@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.cases import DATA
+from helpers.cases import DATA, PROBLEMS
 from helpers.commands import printed, refused, sets
 from helpers.drives import HALF, HILL, drives
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
@@ -29,7 +29,7 @@ from slipfree.geometry.frame import unit_vector
 from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.vehicle.tree import Vehicle
 
-PROBLEM = Path(__file__).parents[2] / "problems" / "fit_skid_steer.toml"
+PROBLEM = PROBLEMS / "fit_skid_steer.toml"
 TRUE = {"radius_left": 0.155, "radius_right": 0.155, "track": 0.62}
 TRUE |= {"center_of_mass_ahead": 0.03, "stiffness": 12.0, "friction": 0.6}
 LOG = (DATA / "fit_least_slip.toml").read_text()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.cases import DATA
+from helpers.cases import DATA, PROBLEMS
 from helpers.commands import build_errors, invoke, sets
 from helpers.friction_cases import slope
 from slipfree import direct_kinematics, settle
@@ -20,7 +20,6 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, run_problem
 from slipfree.problem.verbs import base as runner
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 PROBLEM = (DATA / "quasi_static_hill.toml").read_text()
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from helpers.cases import PROBLEMS
 from helpers.commands import invoke, refused, sets
 from slipfree.core.trajectory import Outcome, SolverError, Stop
 from slipfree.files import netcdf
@@ -16,7 +17,6 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.result import run_problem
 from slipfree.problem.verbs import inverse
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 GIVEN = """\
 [given]
 velocity_x = 0.01255

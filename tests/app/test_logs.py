@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import DATA
-from helpers.commands import printed, refuses
+from helpers.commands import error_of, printed, refuses
 from slipfree import DataError, catalog
 from slipfree.core.records import Array
 from slipfree.files.toml import ProblemError
@@ -295,9 +295,8 @@ def test_remedies_work() -> None:
     degrees = changed({3: lambda x: -4.5 + x / 89e3, 4: lambda y: 36.7 + y / 111e3})
     minutes = degrees.replace("x,y", "lon,lat").replace(",36.", ",3642.")
     refuses(DataError, "perhaps degrees and minutes", read, minutes, 'x = "lon"\ny = "lat"')
-    with pytest.raises(DataError) as refused:
-        read(degrees.replace("x,y", "lon,lat"))
-    (command,) = re.findall(r'python -c "(.*)"', str(refused.value))
+    refused = error_of(DataError, read, degrees.replace("x,y", "lon,lat"))
+    (command,) = re.findall(r'python -c "(.*)"', str(refused))
     subprocess.run([sys.executable, "-c", command], check=True)
     # the scale of the projection, and its north
     found, wanted = read(Path("log_m.csv").read_text())[0], read(table(DRIVE))[0]

@@ -1,15 +1,15 @@
 """Tests of ``slipfree pareto``: fronts of a small plan, files, and errors."""
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers.cases import PROBLEMS
 from helpers.commands import invoke, pressing, printed
 from slipfree.problem import pareto
 
-HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
+HILLS = PROBLEMS / "plan_rigid_hills.toml"
 SMALL = ("--set", "plan.intervals=5", "--set", "plan.accuracy=0.05", "--set", "costs.slip=1e4")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from helpers.cases import DATA
+from helpers.cases import DATA, PROBLEMS
 from helpers.commands import invoke, refuses
 from slipfree.core.errors import DataError
 from slipfree.files.toml import ProblemError
@@ -29,7 +29,6 @@ from slipfree.problem.plan_edit import (
 from slipfree.show.html_page import PlanPage
 from slipfree.show.local_server import ConflictError, Content
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 PARKING = PROBLEMS / "plan_parking.toml"
 
 

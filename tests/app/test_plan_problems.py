@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.cases import PROBLEMS
 from slipfree.core.trajectory import Outcome
 from slipfree.files.netcdf import write
 from slipfree.plan import search as searching
@@ -21,7 +22,7 @@ from slipfree.problem.verbs.plan_setup import regions
 from slipfree.show.plan_figures import plan_plots
 from slipfree.show.plots import draw
 
-FIELD = Path(__file__).parents[2] / "problems" / "plan_crater_field.toml"
+FIELD = PROBLEMS / "plan_crater_field.toml"
 HILLS = FIELD.with_name("plan_rigid_hills.toml")
 SHORT = (
     *("start.y=14.0", "goal.y=24.0", "plan.intervals=12", "plan.duration=20.0", "costs.slip="),

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from helpers.commands import build_errors, refuses
+from helpers.cases import PROBLEMS, ROOT
+from helpers.commands import build_errors, error_of, refuses
 from helpers.problem_files import FILE, VALID, _read
 from slipfree.cli import app
 from slipfree.files.toml import ProblemError
@@ -17,7 +18,6 @@ from slipfree.problem.result import build, run_problem
 from slipfree.problem.verbs.direct import Direct
 from slipfree.solve.sampling import input_samples
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 HALF_RADIUS = 0.15
 
 
@@ -103,7 +103,6 @@ def test_a_rover_with_four_steered_wheels_carries_out_commands():
 
 # Starters: each alternative in their comments is accepted literally
 
-ROOT = Path(__file__).parents[2]
 STARTERS = ROOT / "src" / "slipfree" / "starters"
 MAP = "terrain.synthetic=", "terrain.file=map.npz"
 TIMES = "[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]"
@@ -198,11 +197,10 @@ def test_settings_that_cannot_be_built_are_refused(name, words):
 
 def _faults(folder: Path, text: str, *settings: str) -> list[str]:
     """Return the faults with the path of the file taken out."""
-    with pytest.raises(ProblemError) as caught:
-        _read(folder, text, *settings)
+    caught = error_of(ProblemError, _read, folder, text, *settings)
     path = str(folder / "p.toml")
-    assert all(each.startswith((path, "--set")) for each in caught.value.faults)
-    return [each.replace(path, "p.toml") for each in caught.value.faults]
+    assert all(each.startswith((path, "--set")) for each in caught.faults)
+    return [each.replace(path, "p.toml") for each in caught.faults]
 
 
 def _changed(old: str, new: str) -> str:

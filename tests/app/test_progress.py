@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from helpers.cases import PROBLEMS
 from helpers.commands import invoke
 from slipfree.cli import console
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 PLAN = ["run", str(PROBLEMS / "plan_rigid_hills.toml"), "-o", "p.nc", "--no-draw"]
 PLAN += ["--set", "plan.intervals=8", "--set", "costs.slip=1e3", "--set", "time.step=0.5"]
 DIRECT = ["run", str(PROBLEMS / "paper_direct.toml"), "-o", "p.nc", "--no-draw"]

@@ -15,7 +15,7 @@ import pytest
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 
-from helpers.cases import DATA
+from helpers.cases import DATA, ROOT
 from helpers.commands import invoke
 from helpers.problem_files import VALID
 from slipfree import Analytic, direct_kinematics, settle
@@ -28,7 +28,6 @@ from slipfree.problem.report import conditioning, describe, report
 from slipfree.problem.result import build, run_problem
 from slipfree.show.html_page import MOST, image, page
 
-ROOT = Path(__file__).parents[2]
 MOON = ROOT / "problems" / "moon_craters.toml"
 STARTERS = ROOT / "src" / "slipfree" / "starters"
 SETTINGS = {

@@ -10,6 +10,7 @@ import pyproj
 import pytest
 from numpy.testing import assert_allclose
 
+from helpers.cases import PROBLEMS
 from helpers.commands import invoke, printed, refused, refuses
 from helpers.rasters import from_origin, geotiff
 from slipfree import open_result
@@ -24,7 +25,6 @@ from slipfree.show.meshes import reduced
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections import sheet
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 DRIVE = """
 start = { heading = 0.2 }
 driver = { name = "straight", speed = 0.3 }

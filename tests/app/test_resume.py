@@ -2,13 +2,13 @@
 
 import re
 import shlex
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from typer.testing import CliRunner
 
+from helpers.cases import PROBLEMS
 from helpers.commands import invoke, refused, sets
 from slipfree.cli import app
 from slipfree.core.errors import DataError
@@ -19,7 +19,6 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.report import report
 from slipfree.problem.result import run_problem
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 HILLS = PROBLEMS / "plan_rigid_hills.toml"
 SMALL = ("plan.intervals=8", "costs.slip=1e3", "time.step=0.5")
 

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
+from helpers.cases import PROBLEMS
 from helpers.commands import invoke, pressing, sets
 from slipfree import Bicubic, direct_kinematics, settle
 from slipfree.core.trajectory import Outcome
@@ -21,7 +21,6 @@ from slipfree.problem.verbs.plan_search import ReplayTask, replay_draw
 
 pytestmark = pytest.mark.slow
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 HILLS = PROBLEMS / "plan_rigid_hills.toml"
 TILTS = PROBLEMS / "plan_tilt_limits.toml"
 GAIN = 0.02

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from helpers.cases import DATA
+from helpers.cases import DATA, PROBLEMS
 from helpers.commands import invoke, refused, sets, shown
 from helpers.figures import moved
 from helpers.problem_files import rough_ground
@@ -32,7 +32,6 @@ from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections import Disc, Torus
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 PROBLEM = (DATA / "scene_of_a_hill.toml").read_text() + rough_ground(
     "[-6, 6]", "[-6, 6]", 0.25, "rms = 0.1, longest = 8.0, shortest = 2.0", 11
 )

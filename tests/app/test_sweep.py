@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from helpers.commands import invoke, refused, refuses, sets
+from helpers.cases import PROBLEMS
+from helpers.commands import error_of, invoke, refused, refuses, sets
 from helpers.sweep_cases import (
     GRID,
     PROBLEM,
@@ -45,8 +46,6 @@ from slipfree.sweep import (
 from slipfree.system import processes
 from slipfree.system.parts import LOG
 from slipfree.system.processes import finish_tasks
-
-PROBLEMS = Path(__file__).parents[2] / "problems"
 
 
 @pytest.fixture
@@ -90,9 +89,7 @@ def test_values_of_a_key(text, key, values):
     ],
 )
 def test_values_that_are_none(text, words):
-    with pytest.raises(DataError) as error:
-        axis_of(text)
-    assert words in str(error.value)
+    assert words in str(error_of(DataError, axis_of, text))
 
 
 def test_a_grid_with_seeds(file):

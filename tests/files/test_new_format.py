@@ -6,18 +6,18 @@ touched. Problem files, commands and error messages then take the format as they
 """
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers.cases import PROBLEMS
 from helpers.commands import printed, refuses, sets
 from slipfree.core.errors import DataError
 from slipfree.files.maps import elevation
 from slipfree.files.maps.elevation import READERS, MapReader, read_map
 from slipfree.terrain.grid_ops import Heights, axes_of, parts
 
-PROBLEM = Path(__file__).parents[2] / "problems" / "paper_direct.toml"
+PROBLEM = PROBLEMS / "paper_direct.toml"
 
 
 def read_json(path, ask):

@@ -10,7 +10,7 @@ import yourdfpy
 from numpy.testing import assert_allclose
 
 from helpers.cases import DATA
-from helpers.commands import invoke, refuses
+from helpers.commands import error_of, invoke, refuses
 from helpers.urdf import FOUR, ROUND, adam_model, joint, link, wheel, written
 from slipfree import DataError, Motor
 from slipfree.contact.closure import has_exact_closure
@@ -114,9 +114,8 @@ def changed(folder, name, *changes, roles=None):
 
 
 def faults(path):
-    with pytest.raises(VehicleError) as caught:
-        read_vehicle(path)
-    return str(caught.value).replace(f"{path.parent}/", "")
+    caught = error_of(VehicleError, read_vehicle, path)
+    return str(caught).replace(f"{path.parent}/", "")
 
 
 CASTER = '<joint name="caster" type="continuous">'
@@ -329,13 +328,12 @@ def test_many_errors_are_counted_instead_of_listed(tmp_path):
     names = [f"l{k}" for k in range(60) for _ in range(3)]
     links = "\n".join(f'<link name="{name}"/>' for name in names)
     (tmp_path / "many.urdf").write_text(f'<robot name="r">\n{links}\n</robot>')
-    with pytest.raises(DataError) as caught:
-        read_vehicle(tmp_path / "many.urdf")
-    *lines, last = str(caught.value).splitlines()
+    caught = error_of(DataError, read_vehicle, tmp_path / "many.urdf")
+    *lines, last = str(caught).splitlines()
     assert len(lines) == 50
     assert "link 'l0': expected a unique name, found 3 links with it" in lines[0]
     assert last == "and 10 more errors"
-    assert len(caught.value.faults) == 60
+    assert len(caught.faults) == 60
 
 
 # Vehicle files that change a URDF: joints, springs, masses, drives, forward axis
@@ -377,10 +375,9 @@ def test_a_new_joint_carries_joints_of_the_urdf(tmp_path):
 def test_errors_of_new_joints(given, words, tmp_path):
     arm = link("wheel_arm") + joint("arm", "fixed", "base", "wheel_arm")
     parts = FOUR + arm + wheel("hub", "0 0 0", parent="wheel_arm")
-    with pytest.raises(VehicleError) as found:
-        read_vehicle(written(tmp_path, parts, f"joints.{given}"))
-    assert words in str(found.value)
-    assert "robot.toml:" in str(found.value)
+    found = error_of(VehicleError, read_vehicle, written(tmp_path, parts, f"joints.{given}"))
+    assert words in str(found)
+    assert "robot.toml:" in str(found)
 
 
 @pytest.mark.parametrize("motion", ["turn", "slide"])

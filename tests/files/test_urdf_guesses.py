@@ -6,7 +6,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from helpers.commands import invoke, refused
+from helpers.commands import error_of, invoke, refused
 from helpers.urdf import (
     FOUR,
     MASS,
@@ -92,10 +92,9 @@ def test_mesh_wheels_have_the_least_height_above_the_footprint_as_radius(tmp_pat
 
 def test_one_line_gives_the_radius_of_mesh_wheels(tmp_path):
     _, wheels = mesh_robot()
-    with pytest.raises(VehicleError) as caught:
-        read_vehicle(written(tmp_path, wheels))
-    (line,) = offered(str(caught.value))
-    for vehicle in (read_vehicle(written(tmp_path, wheels, line)), caught.value.draft):
+    caught = error_of(VehicleError, read_vehicle, written(tmp_path, wheels))
+    (line,) = offered(str(caught))
+    for vehicle in (read_vehicle(written(tmp_path, wheels, line)), caught.draft):
         assert [f"radius = {each.radius}" for each in vehicle.wheels] == [line] * 3
 
 
@@ -423,9 +422,8 @@ ASKED = {
 @pytest.mark.parametrize("name", ASKED)
 def test_a_contradiction_asks_with_lines_that_answer(name, tmp_path):
     parts, count, coordinates = ASKED[name]
-    with pytest.raises(VehicleError) as caught:
-        read_vehicle(written(tmp_path, parts))
-    lines = offered(str(caught.value))
+    caught = error_of(VehicleError, read_vehicle, written(tmp_path, parts))
+    lines = offered(str(caught))
     assert len(lines) == 2
     for line, number in zip(lines, coordinates, strict=True):
         path = written(tmp_path, parts, line)
@@ -434,7 +432,7 @@ def test_a_contradiction_asks_with_lines_that_answer(name, tmp_path):
         assert len(vehicle.coordinates) == number
         assert min(each.radius for each in vehicle.wheels) >= 0.05
         assert not describe(path).faults
-    assert not offered("\n".join(caught.value.draft.notes))
+    assert not offered("\n".join(caught.draft.notes))
 
 
 BARE = FOUR.replace(WHEEL, "").replace("continuous", "fixed").replace("_left", "_left_wheel")
@@ -465,10 +463,9 @@ LEGS = "".join(
     ],
 )
 def test_what_is_missing_is_named_and_remedies_work(parts, words, count, tmp_path):
-    with pytest.raises(VehicleError) as caught:
-        read_vehicle(written(tmp_path, parts))
-    assert words in str(caught.value)
-    lines = offered(str(caught.value))
+    caught = error_of(VehicleError, read_vehicle, written(tmp_path, parts))
+    assert words in str(caught)
+    lines = offered(str(caught))
     assert len(lines) == count
     for line in lines:
         assert len(read_vehicle(written(tmp_path, parts, line)).wheels) == 4

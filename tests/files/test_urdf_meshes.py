@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from helpers.commands import invoke
+from helpers.commands import error_of, invoke
 from helpers.urdf import FOUR, WHEEL, joint, link, offered, wheel, written
 from slipfree import Analytic, direct_kinematics, settle
 from slipfree.core.errors import DataError
@@ -121,10 +121,9 @@ def test_a_package_is_found_in_a_folder_above(tmp_path, monkeypatch):
 def test_a_mesh_that_is_no_wheel_is_named(name, data, words, tmp_path):
     (tmp_path / name).write_bytes(data)
     parts = tricycle(mesh(name)).replace("part_", "wheel_")
-    with pytest.raises(VehicleError) as found:
-        read_vehicle(written(tmp_path, parts))
-    assert words in str(found.value)
-    (line,) = offered(str(found.value))
+    found = error_of(VehicleError, read_vehicle, written(tmp_path, parts))
+    assert words in str(found)
+    (line,) = offered(str(found))
     assert len(read_vehicle(written(tmp_path, parts, line)).wheels) == 3
     given = read_vehicle(written(tmp_path, parts, "radius = 0.12"))
     assert [each.radius for each in given.wheels] == [0.12] * 3
@@ -143,12 +142,11 @@ def test_wheels_that_do_not_suit_their_distances_are_refused(unit, scale, words,
     made = trimesh.creation.cylinder(0.033 * unit, 0.02 * unit, sections=48)
     (tmp_path / "wheel.stl").write_bytes(exported(made, "wheel.stl"))
     parts = FOUR.replace(WHEEL, mesh("wheel.stl", scale=scale))
-    with pytest.raises(VehicleError) as found:
-        read_vehicle(written(tmp_path, parts))
-    assert "suits the distances between the wheels, found a radius of" in str(found.value)
-    assert "in link 'front_left'; mesh 'wheel.stl': " in str(found.value)
-    assert words in str(found.value)
-    (line,) = offered(str(found.value))
+    found = error_of(VehicleError, read_vehicle, written(tmp_path, parts))
+    assert "suits the distances between the wheels, found a radius of" in str(found)
+    assert "in link 'front_left'; mesh 'wheel.stl': " in str(found)
+    assert words in str(found)
+    (line,) = offered(str(found))
     given = read_vehicle(written(tmp_path, parts, line))
     if "correct its scale" not in words:
         assert [each.radius for each in given.wheels] == [0.033] * 4
@@ -186,9 +184,7 @@ def test_names_and_scales_of_meshes(name, scale, radius, tmp_path):
 def test_wrong_names_and_scales_of_meshes_are_refused(name, scale, words, tmp_path):
     (tmp_path / "plate.stl").write_bytes(exported(PLATE, "plate.stl"))
     parts = tricycle(mesh(name, scale=scale)).replace("part_", "wheel_")
-    with pytest.raises((VehicleError, DataError)) as found:
-        read_vehicle(written(tmp_path, parts))
-    assert words in str(found.value)
+    assert words in str(error_of((VehicleError, DataError), read_vehicle, written(tmp_path, parts)))
 
 
 @pytest.mark.bounded

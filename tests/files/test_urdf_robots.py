@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from helpers.commands import error_of
 from helpers.urdf import (
     FOUR,
     MESH,
@@ -297,10 +298,9 @@ def test_evidence_that_disagrees_is_a_question_or_a_note(tmp_path):
             "no name distinguishes front from rear",
         ),
     ):
-        with pytest.raises(VehicleError) as caught:
-            read_vehicle(written(tmp_path, parts))
-        assert words in str(caught.value)
-        line = str(caught.value).split("write ")[1].split(" or ")[0]
+        caught = error_of(VehicleError, read_vehicle, written(tmp_path, parts))
+        assert words in str(caught)
+        line = str(caught).split("write ")[1].split(" or ")[0]
         assert len(read_vehicle(written(tmp_path, parts, line)).wheels) == 4
     (note,) = [n for n in read_vehicle(written(tmp_path, REAR_STEERED)).notes if "forward" in n]
     assert "steered wheels (-x)" in note

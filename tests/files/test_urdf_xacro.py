@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.commands import invoke, printed, refused, refuses
+from helpers.commands import error_of, invoke, printed, refused, refuses
 from slipfree.core.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.urdf.elements import read_tree
@@ -197,11 +197,10 @@ def test_expansion_has_limits(line, words, robot, monkeypatch):
 )
 def test_xacro_that_cannot_be_expanded_is_named(old, new, words, robot):
     robot.write_text(ROBOT.replace(old, new))
-    with pytest.raises(VehicleError) as found:
-        read_vehicle(robot, trust=True)
-    assert str(robot) in str(found.value)
-    assert words in str(found.value)
-    assert "DataError" not in str(found.value)
+    found = error_of(VehicleError, read_vehicle, robot, trust=True)
+    assert str(robot) in str(found)
+    assert words in str(found)
+    assert "DataError" not in str(found)
 
 
 def test_without_the_package_the_command_is_named(robot, monkeypatch):

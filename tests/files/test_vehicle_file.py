@@ -11,8 +11,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from helpers.cases import DATA, hills
-from helpers.commands import invoke, refused, refuses, sets
+from helpers.cases import DATA, PROBLEMS, hills
+from helpers.commands import error_of, invoke, refused, refuses, sets
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.files import vehicle_toml
 from slipfree.files.maps import elevation
@@ -25,7 +25,6 @@ from slipfree.vehicle.sections import Disc, Omni, Sphere, Torus
 from slipfree.vehicle.tree import Joint
 from slipfree.vehicle.wheel import Motor, Torque
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 UNFIT = ("seven_wheels", "step_climber")  # neither stands on these hills with rigid wheels
 SCALARS = ("stiffness", "rest", "damping", "bump")
 
@@ -125,9 +124,8 @@ def read(folder, text):
 
 
 def faults(folder, text):
-    with pytest.raises(VehicleError) as caught:
-        read(folder, text)
-    return [each.replace(f"{folder}/", "") for each in caught.value.faults], caught.value.draft
+    caught = error_of(VehicleError, read, folder, text)
+    return [each.replace(f"{folder}/", "") for each in caught.faults], caught.draft
 
 
 def test_long_and_short_form_are_one_vehicle(tmp_path):
@@ -495,12 +493,11 @@ def test_errors_in_shapes_name_the_key_and_what_is_expected(tmp_path):
     numbers = dict.fromkeys(("at", "ball", "right", "left", "front"), "0.1, 0.2, 0.3")
     text = SHAPED.format(frame="paper", size="0.6, 0, 0.1", **numbers)
     text = text.replace('"ball"', '"cube"').replace("points = [", "points = [], point = [")
-    with pytest.raises(VehicleError) as error:
-        read(tmp_path, text)
+    error = error_of(VehicleError, read, tmp_path, text)
     for words in (
         "shapes[0].size[1]: expected a number greater than 0, found 0",
         "shapes[1]: expected a table whose 'kind' is one of 'box', 'ball', 'hull'",
         "shapes[2].points: expected",
         "shapes[2].point: did you mean 'points'?",
     ):
-        assert words in str(error.value)
+        assert words in str(error)

@@ -11,7 +11,8 @@ from slipfree import Bicubic, Grid, Region, SolverOptions, direct_kinematics, se
 from slipfree.catalog import rocky7, three_wheeler
 from slipfree.core.lookups import LookupTable, lookup_function
 
-DATA = Path(__file__).parents[1] / "data"
+ROOT = Path(__file__).parents[2]
+DATA, PROBLEMS = ROOT / "tests" / "data", ROOT / "problems"
 PAPER_RATES = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.0}
 BOUNDED_RATES = dict.fromkeys(("right_rate", "left_rate", "steer_rate"), (-2.0, 2.0))
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone

@@ -43,11 +43,18 @@ def shown(file: Path, name: str) -> Any:
     return verb_of(result.problem).shown(result, name)
 
 
+def error_of(
+    error: type[Exception], function: Callable[..., Any], *args: Any, **options: Any
+) -> Any:
+    """Return the error with which a call ends."""
+    with pytest.raises(error) as caught:
+        function(*args, **options)
+    return caught.value
+
+
 def build_errors(file: Path, settings: Sequence[str] = ()) -> str:
     """Return the errors of a problem that cannot be built."""
-    with pytest.raises(ProblemError) as error:
-        build(load_problem(file, settings))
-    return str(error.value)
+    return str(error_of(ProblemError, lambda: build(load_problem(file, settings))))
 
 
 def refuses(

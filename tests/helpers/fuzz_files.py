@@ -17,6 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 from pydantic import BaseModel, PlainValidator
 
+from helpers.cases import DATA, ROOT
 from helpers.fuzz_damage import NUMBERS, ODD, WORDS, Case, damaged, grown, shuffled
 from helpers.fuzz_libraries import LIBRARY_KINDS
 from helpers.fuzz_maps import archive, ascii_grid, beside, cloud, mutated_raster, picture, points
@@ -31,8 +32,6 @@ from slipfree.problem.schema import CommonKeys
 from slipfree.vehicle.sections import SECTIONS
 from slipfree.vehicle.shapes import SHAPES
 
-ROOT = Path(__file__).parents[2]
-DATA = ROOT / "tests" / "data"
 DEEP = 100_000
 ROBOTS = ("cart", "bogie")  # with vehicle files that complete them
 PRINTABLE = re.compile(r"[^\x00-\x08\x0b\x0c\x0e-\x1f\x80-\uffff]*")

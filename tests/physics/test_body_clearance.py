@@ -1,7 +1,6 @@
 """Tests of bodies and ground: clearance, stops by name, plans, hang-up, and loads in dynamics."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -11,6 +10,7 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
 import slipfree as sf
+from helpers.cases import PROBLEMS
 from helpers.commands import refuses
 from helpers.dynamics import FLAT, energy_error, four_wheels, moved, states
 from helpers.shaped import (
@@ -314,7 +314,6 @@ def test_invalid_shapes_are_refused():
 
 # Bodies that bear load in dynamics: closed forms, energy, hanging and rolling over
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 DEPTH, WEIGHT = 2e-3, 48 * 9.81
 LAW = sf.Compliant(body_depth=DEPTH)
 BELLY = Box((0.4, 0.5, 0.2), at=(0.0, 0.35, 0.1))  # its lower face is at the axles

@@ -7,7 +7,6 @@ that it found within 95 % is 13.13 m long. Lengths are those of the path of the 
 """
 
 from functools import cache
-from pathlib import Path as FilePath
 from typing import NamedTuple
 
 import casadi as ca
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from helpers.cases import PROBLEMS
 from helpers.commands import refuses
 from slipfree import (
     Analytic,
@@ -37,7 +37,7 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.result import run_problem
 
 pytestmark = pytest.mark.slow
-FILE = FilePath(__file__).parents[2] / "problems" / "plan_climb_ramp.toml"
+FILE = PROBLEMS / "plan_climb_ramp.toml"
 SLOPE, MU, MOST, CREEP = np.radians(20), 0.5, 0.95, 1e-4
 AXLE = 0.5  # from the middle of the axle to the platform's centre [m]
 STEER = np.arctan(1.5 * 0.6)  # curvature of 0.6 /m of the way of the axle's middle

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.cases import DATA, LIGHT, hills, rover_ground
+from helpers.cases import DATA, LIGHT, PROBLEMS, hills, rover_ground
 from helpers.commands import invoke, refuses, sets
 from helpers.problem_files import rough_ground
 from helpers.vehicles import four_wheel_steered, skid_steered
@@ -512,7 +512,7 @@ SHORT = ("time.duration=0.5", "vehicle.mass=0", "vehicle.wheel_mass=0")
 
 
 def _run_rover(*settings: str) -> Any:
-    file = Path(__file__).parents[2] / "problems" / "rover_inverse.toml"
+    file = PROBLEMS / "rover_inverse.toml"
     return invoke("run", file, "-o", "p.nc", "--no-draw", *sets(*settings, *SHORT))
 
 

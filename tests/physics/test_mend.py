@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
-from helpers.cases import function_of
+from helpers.cases import ROOT, function_of
 from helpers.commands import invoke, refuses
 from helpers.problem_files import FILE, _read
 from slipfree import Grid
@@ -328,7 +328,7 @@ def test_friction_lies_where_the_ground_does(tmp_path: Path) -> None:
 
 
 def test_every_key_is_documented() -> None:
-    text = (Path(__file__).parents[2] / "docs" / "elevation.md").read_text()
+    text = (ROOT / "docs" / "elevation.md").read_text()
     for key in TerrainTable.model_fields:
         assert f"`{key}`" in text or key in ("sample", "synthetic"), key
 

@@ -15,7 +15,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from helpers.cases import hills
+from helpers.cases import ROOT, hills
 from helpers.commands import refuses
 from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
@@ -173,7 +173,6 @@ def test_an_offset_tread_is_a_wheel_beside_its_place(model):
     assert_allclose(runs[0]["clearance"], runs[1]["clearance"], atol=1e-6)
 
 
-ROOT = Path(__file__).parents[2]
 SOURCES = ("src", "problems", "pyproject.toml", "README.md", "LICENSE")
 
 

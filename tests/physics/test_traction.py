@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 
 import slipfree as sf
 from helpers.cases import hills
-from helpers.commands import refuses
+from helpers.commands import error_of, refuses
 from helpers.friction_cases import (
     FIXED,
     UNEQUAL,
@@ -81,10 +81,9 @@ def test_the_reserve_holds_beyond_friction(reserve):
 
 
 def test_beyond_friction_a_start_is_refused_with_what_it_needs():
-    with pytest.raises(sf.ModelError) as error:
-        standing(three_wheeler(), slope(np.radians(25), 0.6))
+    error = error_of(sf.ModelError, standing, three_wheeler(), slope(np.radians(25), 0.6))
     s = np.tan(np.radians(25))
-    assert str(error.value) == (
+    assert str(error) == (
         "the vehicle cannot stand at the start: no quasi-static equilibrium: headed 0 degrees from "
         "uphill on a slope of 25.0 degrees the vehicle needs a coefficient of friction of at least "
         f"{s / (2 / 3 + 0.2 * s):.4g}, the ground offers 0.6"

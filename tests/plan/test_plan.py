@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import binomtest
 
 import slipfree as sf
-from helpers.cases import BOUNDED_RATES, hills, straight_on
+from helpers.cases import BOUNDED_RATES, PROBLEMS, hills, straight_on
 from helpers.commands import invoke, refuses, sets
 from slipfree.catalog import three_wheeler
 from slipfree.core.trajectory import Outcome
@@ -31,7 +31,7 @@ from slipfree.plan.transcription import Mesh
 from slipfree.plan.verification import inputs_along
 from slipfree.problem.load import verb_of
 
-PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
+PROBLEM = PROBLEMS / "plan_rigid_hills.toml"
 GOAL = {"x": 0.6, "y": 2.6}
 WEIGHTS = {"slip": 7e4, "effort": 0.01}
 VEHICLE = three_wheeler(axle="fixed")
@@ -281,7 +281,7 @@ def test_an_optimum_is_that_of_another_transcription():
 
 # A short plan over a sandy slope: limits on slip and sinkage, simulation with inertia
 
-SLOPE = Path(__file__).parents[2] / "problems" / "plan_sandy_slope.toml"
+SLOPE = PROBLEMS / "plan_sandy_slope.toml"
 SHORT = (
     *("law.soil.regions=", "start={x=0.0, y=1.4, heading=1.1}", "goal.y=1.8"),
     *("driver.path=[[0.0, 1.4], [-1.5, 2.15]]", "time.duration=5", "time.step=0.5"),

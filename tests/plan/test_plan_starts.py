@@ -1,7 +1,6 @@
 """Tests of several starts of a plan: guesses, local optima, best verified plan, processes."""
 
 import re
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.testing import assert_array_equal
 from typer.testing import CliRunner
 
 import slipfree as sf
+from helpers.cases import PROBLEMS
 from helpers.commands import refuses
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
@@ -25,7 +25,7 @@ from slipfree.plan.verification import verify_plan
 
 pytestmark = pytest.mark.slow
 
-PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
+PROBLEM = PROBLEMS / "plan_rigid_hills.toml"
 FEW = ("plan.intervals=7", "plan.starts=2")
 FREE = np.array([[-2.0, 2.0]] * 3)
 

@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from helpers.cases import ROOT
 from helpers.commands import refuses
 from helpers.fuzz_checks import READ, REFUSED, judged, judged_silently
 from helpers.fuzz_damage import Case
@@ -28,7 +29,7 @@ from slipfree.problem.result import problem_of
 
 pytestmark = pytest.mark.slow
 
-SOURCE = Path(__file__).parents[2] / "src" / "slipfree"
+SOURCE = ROOT / "src" / "slipfree"
 CAREFUL = settings(
     derandomize=True,
     database=None,

@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from contextlib import contextmanager, nullcontext, suppress
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -17,8 +16,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import slipfree.__main__ as entry
-from helpers.cases import BOUNDED_RATES, hills, straight_on
-from helpers.commands import invoke, press, pressing, sets
+from helpers.cases import BOUNDED_RATES, PROBLEMS, hills, straight_on
+from helpers.commands import error_of, invoke, press, pressing, sets
 from helpers.problem_files import PROBLEM
 from helpers.toy_models import model
 from slipfree import Analytic, SolverOptions, direct_kinematics, settle
@@ -43,7 +42,7 @@ from slipfree.system import codegen_cache, interrupt
 
 pytestmark = pytest.mark.slow
 
-HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
+HILLS = PROBLEMS / "plan_rigid_hills.toml"
 PLAN = (str(HILLS), *sets("plan.intervals=8", "costs.slip=1e3", "time.step=0.5"))
 T = np.linspace(0, 2, 21)
 OLD = b"what was here before"
@@ -75,9 +74,7 @@ def test_it_comes_instead_of_what_became_of_it():
         lost()
         raise SystemError("returned a result with an exception set")
 
-    with pytest.raises(KeyboardInterrupt) as caught:
-        interrupt.with_interrupt_guard(fail)()
-    assert caught.value.__suppress_context__
+    assert error_of(KeyboardInterrupt, interrupt.with_interrupt_guard(fail)).__suppress_context__
 
 
 def test_what_a_callback_deals_with_is_forgotten_by_all_contexts_around_it():
@@ -468,10 +465,9 @@ def test_an_interrupted_import_prints_no_traceback(pressed, monkeypatch, capsys)
 
     monkeypatch.setattr("slipfree.system.interrupt._received", [])
     monkeypatch.setattr("slipfree.cli.main", imported)
-    with pytest.raises(SystemExit if pressed else ImportError) as ended:
-        entry.main()
+    ended = error_of(SystemExit if pressed else ImportError, entry.main)
     if pressed:
-        assert (ended.value.code, capsys.readouterr().err) == (130, "interrupted\n")
+        assert (ended.code, capsys.readouterr().err) == (130, "interrupted\n")
 
 
 @pytest.mark.parametrize("where", ["verification", "by_friction"])
