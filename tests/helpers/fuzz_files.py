@@ -20,7 +20,7 @@ from pydantic import BaseModel, PlainValidator
 from helpers.cases import DATA, ROOT
 from helpers.fuzz_damage import NUMBERS, ODD, WORDS, Case, damaged, grown, shuffled
 from helpers.fuzz_libraries import LIBRARY_KINDS
-from helpers.fuzz_maps import archive, ascii_grid, beside, cloud, mutated_raster, picture, points
+from helpers.fuzz_maps import archive, ascii_grid, beside, cloud, points, raster
 from helpers.urdf import FOUR, link
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Outcome, Stop, Trajectory
@@ -310,32 +310,6 @@ def _vehicle(kind: str, rng: Random) -> Case:
     return Case(kind, {**side, "vehicle.toml": raw}, "vehicle.toml")
 
 
-def _urdf(kind: str, rng: Random) -> Case:
-    name = rng.choice(ROBOTS)
-    raw, how = (DATA / f"{name}.urdf").read_bytes(), rng.random()
-    if how < 0.6:
-        raw = shuffled(raw.decode(), rng, rng.choice([r"\S", '"', r"\w"])).encode()
-    elif how < 0.9:
-        raw = damaged(raw, rng)
-    else:
-        raw = rng.choice(
-            [
-                b"<a>" * DEEP,
-                b"<a>" * 2000 + b"</a>" * 2000,
-                b"<robot name='x'>" + b"<link name='a'/>" * 9999,
-                b"<!DOCTYPE r [<!ENTITY a 'x'>]><r>&a;</r>",
-                b"<?xml version='1.0' encoding='ebcdic'?><r/>",
-                _chain(3000),
-                b"<robot/>",
-                b"",
-                b"\0",
-            ]
-        )
-    whole = (DATA / f"{name}.toml").read_bytes()  # which says what a URDF cannot
-    main = rng.choice([f"{name}.toml", f"{name}.urdf"])
-    return Case(kind, {f"{name}.urdf": raw, f"{name}.toml": whole}, main)
-
-
 def _chain(count: int) -> bytes:
     """Return a robot that is one long arm."""
     links = "".join(f"<link name='l{k}'/>" for k in range(count + 1))
@@ -347,21 +321,31 @@ def _chain(count: int) -> bytes:
     return f"<robot name='arm'>{links}{joints}</robot>".encode()
 
 
-def mutated_urdf(_: str, rng: Random) -> Case:
-    """Return a robot with mutated bytes, or one to four mutated elements or attributes."""
+def urdf(kind: str, rng: Random) -> Case:
+    """Return a robot with damaged bytes, exchanged words or mutated elements, or an odd one."""
     known = [((DATA / f"{n}.urdf").read_text(), (DATA / f"{n}.toml").read_text()) for n in ROBOTS]
     bare = f'<robot name="r">{link("base")}{FOUR}</robot>'
     text, completion = rng.choice([*known, (bare, 'urdf = "r.urdf"\n')])
-    name = completion.partition('urdf = "')[2].partition('"')[0]
-    if rng.random() < 0.3:
+    name, how = completion.partition('urdf = "')[2].partition('"')[0], rng.random()
+    if how < 0.25:
         raw = damaged(text.encode(), rng)
-    else:
+    elif how < 0.5:
+        raw = shuffled(text, rng, rng.choice([r"\S", '"', r"\w"])).encode()
+    elif how < 0.9:
         robot = ElementTree.fromstring(text)
         for _ in range(rng.choice([1, 1, 2, 4])):
             rng.choice([_change_elements, *[_change_attributes] * 3])(robot, rng)
         raw = ElementTree.tostring(robot)
+    else:
+        odd = (
+            b"<a>" * DEEP, b"<a>" * 2000 + b"</a>" * 2000, b"<robot/>", b"", b"\0", _chain(3000),
+            b"<robot name='x'>" + b"<link name='a'/>" * 9999,
+            b"<!DOCTYPE r [<!ENTITY a 'x'>]><r>&a;</r>",
+            b"<?xml version='1.0' encoding='ebcdic'?><r/>",
+        )  # fmt: skip
+        raw = rng.choice(odd)
     files = {name: raw, "vehicle.toml": completion.encode()}
-    return Case("urdf", files, rng.choice([*files]))
+    return Case(kind, files, rng.choice([*files]))
 
 
 def _change_elements(robot: ElementTree.Element, rng: Random) -> None:
@@ -497,18 +481,14 @@ KINDS: dict[str, Callable[[str, Random], Case]] = {
     "inverse": _problem,
     "plan": _problem,
     "vehicle": _vehicle,
-    "urdf": _urdf,
     "asc": ascii_grid,
     "npz": archive,
     "points": points,
     "ply": cloud,
     "pcd": cloud,
-    "tif": picture,
-    "png": picture,
-    "img": picture,
     "sidecar": beside,
     "result": _result,
     "name": _named,
 }
 # kinds of which nothing may be printed
-SILENT_KINDS = {"mutated_urdf": mutated_urdf, "mutated_raster": mutated_raster}
+SILENT_KINDS = {"urdf": urdf, "raster": raster}

@@ -258,8 +258,8 @@ def picture(kind: str, rng: Random) -> Case:
     )
 
 
-def mutated_raster(_: str, rng: Random) -> Case:
-    """Return a raster of any format, or an archive of arrays, with mutated bytes."""
+def raster(_: str, rng: Random) -> Case:
+    """Return a raster of any format, or an archive of arrays, mostly damaged."""
     if rng.random() < 0.85:
         return picture(rng.choice([*RASTERS]), rng)
     case = archive("npz", rng)

@@ -63,8 +63,8 @@ def test_every_drawn_file_is_read_or_refused(kind: str, seed: int, tmp_path: Pat
 
 
 @pytest.mark.parametrize("kind", SILENT_KINDS)
-def test_mutants_are_read_or_refused_in_silence(kind: str, tmp_path: Path) -> None:
-    """``python benchmarks fuzz --kinds mutated_urdf,mutated_raster`` reads many, with a limit."""
+def test_urdfs_and_rasters_are_read_or_refused_in_silence(kind: str, tmp_path: Path) -> None:
+    """``python benchmarks fuzz --kinds urdf,raster`` reads many, each with a limit of time."""
     found = []
     for seed in range(30):
         folder = tmp_path / str(seed)
