@@ -265,7 +265,17 @@ def model_law(problem: Problem[Any]) -> Any:
         expected = f"no slip law with model = {spec.model!r}, where forces determine the slip"
         problem.refuse(Fault(("slip",), expected, f"{spec.slip!r}; remove the key"))
     for other in spec.law.model_fields_set - ({name} & set(known)):
-        problem.refuse(_wrong_law(spec, other))
+        expected = f"slip = {other!r}, where this law applies"
+        if other not in known:
+            model = next(model for model, laws in LAWS.items() if other in laws)
+            expected = f"model = {model!r}, where this law applies"
+            found = f"model = {spec.model!r}; set it to {model!r}, or remove the table"
+        elif spec.model == "kinematics":
+            found = f"slip = {spec.slip!r}; set slip = {other!r}, or remove the table"
+        else:
+            expected = f"one law with model = {spec.model!r}, of {', '.join(known)}"
+            found = f"{', '.join(sorted(spec.law.model_fields_set))}; keep one of these tables"
+        problem.refuse(Fault(("law", other), expected, found))
     make: Any = MAKERS.get(name, known[name])
     values = spec.law.parameters(name)
     for key, parameter in signature(make).parameters.items():
@@ -276,19 +286,6 @@ def model_law(problem: Problem[Any]) -> Any:
             problem.refuse(Fault(("law", name, key), "a value", "none"))
     with at(problem, ("law", name)):
         return make(**values)
-
-
-def _wrong_law(spec: schema.LawKeys, name: str) -> Fault:
-    if name in LAWS[spec.model]:
-        tables = ", ".join(sorted(spec.law.model_fields_set))
-        if spec.model == "kinematics":
-            found = f"slip = {spec.slip!r}; set slip = {name!r}, or remove the table"
-            return Fault(("law", name), f"slip = {name!r}, where this law applies", found)
-        expected = f"one law with model = {spec.model!r}, of {', '.join(LAWS[spec.model])}"
-        return Fault(("law", name), expected, f"{tables}; keep one of these tables")
-    model = next(model for model, laws in LAWS.items() if name in laws)
-    found = f"model = {spec.model!r}; set it to {model!r}, or remove the table"
-    return Fault(("law", name), f"model = {model!r}, where this law applies", found)
 
 
 def build_world(problem: Problem[Any]) -> World:

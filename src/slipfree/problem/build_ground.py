@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from math import degrees, isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -233,34 +234,34 @@ def _source(problem: Problem[S]) -> tuple[elevation.Map, str]:
     spec = problem.spec.terrain
     key = spec.model_dump_json(exclude=LATER, exclude_unset=True, serialize_as_any=True)
     whole = problem.folder, key, problem.extremes is None
-    return shared("map", whole, lambda: _read(problem))
 
+    def read() -> tuple[elevation.Map, str]:
+        if spec.file is not None:
+            options: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES}
+            if "vertical_scale" in spec.model_fields_set:
+                options["vertical_scale"] = spec.vertical_scale
+            window = spec.window
+            if window is not None and spec.geographic is None:  # in coordinates of the file
+                a, b, c, d = (each / _scales(spec)[0] for each in window)
+                window = a, b, c, d
+            with at(problem, ("terrain", "file")):
+                ground_map = _map_of(problem, spec.file, window, options)
+                if "vertical_scale" not in spec.model_fields_set:
+                    _check_heights(ground_map, spec.scale)
+            return ground_map, spec.file
+        if spec.synthetic is not None:
+            with at(problem, ("terrain", "synthetic")):
+                made = spec.synthetic
+                remedy = "increase 'spacing', or reduce the extent in 'x' and 'y'"
+                _check_size(made.x[1] - made.x[0], made.y[1] - made.y[0], made.spacing, remedy)
+                grid = blank(made.x, made.y, made.spacing)
+                grid = made.with_features(Grid(grid.x, grid.y, grid.z + made.base))
+                grid = place_rocks(grid, map(Rock._make, made.placed_rocks))
+            return elevation.Map(grid), "synthetic"
+        with at(problem, ("terrain", "sample")):
+            return elevation.Map(elevation.jacksboro()), "Jacksboro fault (sample of matplotlib)"
 
-def _read(problem: Problem[S]) -> tuple[elevation.Map, str]:
-    """Return the map of a problem and the name of its source."""
-    spec = problem.spec.terrain
-    if spec.file is not None:
-        options: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES}
-        if "vertical_scale" in spec.model_fields_set:
-            options["vertical_scale"] = spec.vertical_scale
-        window = spec.window
-        if window is not None and spec.geographic is None:  # in coordinates of the file
-            a, b, c, d = (each / _scales(spec)[0] for each in window)
-            window = a, b, c, d
-        with at(problem, ("terrain", "file")):
-            ground_map = _map_of(problem, spec.file, window, options)
-            if "vertical_scale" not in spec.model_fields_set:
-                _check_heights(ground_map, spec.scale)
-        return ground_map, spec.file
-    if spec.synthetic is not None:
-        with at(problem, ("terrain", "synthetic")):
-            made, remedy = spec.synthetic, "increase 'spacing', or reduce the extent in 'x' and 'y'"
-            _check_size(made.x[1] - made.x[0], made.y[1] - made.y[0], made.spacing, remedy)
-            grid = blank(made.x, made.y, made.spacing)
-            grid = made.with_features(Grid(grid.x, grid.y, grid.z + made.base))
-            return elevation.Map(place_rocks(grid, map(Rock._make, made.placed_rocks))), "synthetic"
-    with at(problem, ("terrain", "sample")):
-        return elevation.Map(elevation.jacksboro()), "Jacksboro fault (sample of matplotlib)"
+    return shared("map", whole, read)
 
 
 def _check_heights(ground_map: elevation.Map, scale: float) -> None:
@@ -341,38 +342,35 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
     spec = problem.spec
     if not isinstance(spec, TerrainKeys):
         return problem
-    places = [place for place in _places(spec) if any(name in place[1] for name in DEGREES)]
-    if not places:
-        return problem
-    on_map: Problem[Any] = problem
-    if kept := problem.grounds.get(ground_table(spec.terrain)):
-        crs, coordinates = kept[1].crs, kept[1].coordinates
-    else:
+    terrain, on_map = spec.terrain, cast("Problem[Any]", problem)
+
+    @cache
+    def reference_system() -> tuple[str, tuple[MapCoordinate, ...]]:
+        if kept := problem.grounds.get(ground_table(terrain)):
+            return kept[1].crs, kept[1].coordinates
         ground, _ = _source(on_map)
-        crs, coordinates = ground.crs, _map_coordinates(ground, *_scales(spec.terrain))
-    for keys, values in places:
+        return ground.crs, _map_coordinates(ground, *_scales(terrain))
+
+    def converted(keys: KeyPath, place: Any) -> Any:
+        values = place if isinstance(place, Mapping) else place.model_dump(exclude_none=True)
+        if not any(name in values for name in DEGREES):
+            return place
+        system = reference_system()
         with at(problem, keys):
-            spec = _replaced(spec, keys, _in_metres(values, crs, coordinates))
-    return replace(problem, spec=spec)
+            metres = _in_metres(values, *system)
+            return metres if isinstance(place, Mapping) else type(place)(**metres)
 
-
-def _places(spec: TerrainKeys) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
-    yield ("start",), spec.start
-    if (goal := getattr(spec, "goal", None)) is not None:
-        yield ("goal",), goal
-    for index, values in enumerate(getattr(spec, "way_points", ())):
-        yield ("way_points", index), values
-    for index, region in enumerate(getattr(spec, "keep_out", ())):
-        yield ("keep_out", index), region.model_dump(exclude_none=True)
-
-
-def _replaced(spec: Any, keys: KeyPath, values: dict[str, Any]) -> Any:
-    name, old = str(keys[0]), getattr(spec, str(keys[0]))
-    if len(keys) == 1:
-        return spec.model_copy(update={name: values})
-    index = int(keys[1])
-    new = values if isinstance(old[index], Mapping) else type(old[index])(**values)
-    return spec.model_copy(update={name: (*old[:index], new, *old[index + 1 :])})
+    changes = dict[str, Any]()
+    for name in ("start", "goal", "way_points", "keep_out"):
+        before: Any = getattr(spec, name, None)
+        after = before
+        if isinstance(before, tuple):
+            after = tuple(converted((name, k), each) for k, each in enumerate(before))
+        elif before is not None:
+            after = converted((name,), before)
+        if after != before:
+            changes[name] = after
+    return replace(problem, spec=spec.model_copy(update=changes)) if changes else problem
 
 
 def _in_metres(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -96,24 +97,31 @@ def validated_problem(
     raised if the text is not TOML, a setting has no valid form, or values do not fit the schema;
     all errors of values, sorted by line.
     """
-    data = _copy(_parsed(path, text))
+    data = deepcopy(_parsed(path, text))
     places = toml.replace_values(data, settings)
     varied_places = toml.replace_values(data, varied, "--vary")
     source = toml.Source(
         path, text, toml.key_lines(text), places | varied_places, frozenset(varied_places)
     )
     schema = schema_of(data, source)
-    faults = [*_alternatives(schema, data)]
+    faults = list[toml.Fault]()
+    for place, keys in schema.alternatives.items():
+        table: Any = data
+        for part in place:
+            table = table.get(part)
+        if isinstance(table, Mapping) and len(present := [k for k in keys if k in table]) != 1:
+            expected, found = f"exactly one of {', '.join(keys)}", " and ".join(present) or "none"
+            faults.append(toml.Fault((*place, *present[-1:]), expected, found))
     try:
         spec = schema.model_validate(data)
     except ValidationError as error:
-        found = dict[toml.Place, toml.Fault]()
+        wrong = dict[toml.Place, toml.Fault]()
         for each in error.errors(include_url=False):
             fault = toml.validation_fault(schema, data, dict(each))
-            if other := found.get(fault.place):  # the error of another alternative
+            if other := wrong.get(fault.place):  # the error of another alternative
                 fault = other._replace(expected=f"{other.expected}, or {fault.expected}")
-            found[fault.place] = fault
-        faults += found.values()
+            wrong[fault.place] = fault
+        faults += wrong.values()
     else:
         faults += [*toml.value_errors(data), *spec.faults()]
         if not faults:
@@ -122,23 +130,3 @@ def validated_problem(
 
 
 _parsed = lru_cache(maxsize=1)(toml.parse_toml)  # all variants of a problem have the same text
-
-
-def _copy(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _copy(each) for key, each in value.items()}
-    return [*map(_copy, value)] if isinstance(value, list) else value
-
-
-def _alternatives(schema: type[FileKeys], data: dict[str, Any]) -> Iterator[toml.Fault]:
-    """Yield an error for each table that does not have exactly one of its alternative keys."""
-    for place, keys in schema.alternatives.items():
-        table: Any = data
-        for part in place:
-            table = table.get(part)
-        if not isinstance(table, Mapping):
-            continue
-        present = [key for key in keys if key in table]
-        expected = f"exactly one of {', '.join(keys)}"
-        if len(present) != 1:
-            yield toml.Fault((*place, *present[-1:]), expected, " and ".join(present) or "none")

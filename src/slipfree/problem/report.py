@@ -62,15 +62,27 @@ MAX_TREE_DEPTH = 40  # largest printed depth of the tree of parts
 
 def report(file: Path) -> Report:
     """Return the report of a result file; raise DataError if it cannot be read."""
+    tables: dict[str, Sequence[tuple[str, ...]]]
     if is_atlas(file):
-        return _atlas_report(file)
+        summary, set_up, view = atlas_lines(file)
+        attributes = view.site.attributes
+        maps = ((name, label) for name, (label, _) in view.maps.items())
+        tables = {
+            "Set-up": set_up,
+            "Maps": [(name, printed_unit(label.unit), label.words) for name, label in maps],
+            "Versions": _versions(file, attributes),
+        }
+        texts = {"Problem": attributes["problem"]} if "problem" in attributes else {}
+        title = attributes.get("title", file.stem)
+        lead = "Where and how the vehicle can stand."
+        return Report(title, lead, True, summary, tables, atlas_plots(view), "", texts)
     result = open_result(file, samples=FIGURE_SAMPLES)
     run, verb = read(file, lazy=True), find_motion_verb(result.kind)
     facts = [outcome_fact(run), *motion_facts(run)]
     main = [outcome_fact(run), *(verb.summary(run, main=True) if verb else [])]
     names = {row.name for row in (verb.rows if verb else PLAIN_ROWS) if row.is_check}
     attributes = run.attributes
-    tables: dict[str, Sequence[tuple[str, ...]]] = {
+    tables = {
         "Result": [fact for fact in facts if fact[0] not in names],
         "Checks": [fact for fact in facts if fact[0] in names],
         "Set-up": _set_up(attributes),
@@ -89,7 +101,7 @@ def report(file: Path) -> Report:
     except DataError as error:
         note = f"No figures: {error}"
     figures.sort(key=lambda plot: plot.name not in MAPS)
-    texts = dict[str, str]()
+    texts = {}
     if "problem" in attributes:
         name = f"{Path(attributes.get('problem_file', 'problem.toml')).stem}_again.toml"
         settings = attributes.get("settings", "").splitlines()
@@ -114,21 +126,6 @@ def _set_up(attributes: Mapping[str, str]) -> Lines:
         for name, text in attributes.items()
         if name not in ELSEWHERE and not name.endswith(VERSION)
     ]
-
-
-def _atlas_report(file: Path) -> Report:
-    summary, set_up, view = atlas_lines(file)
-    attributes = view.site.attributes
-    tables: dict[str, Sequence[tuple[str, ...]]] = {
-        "Set-up": set_up,
-        "Maps": [
-            (name, printed_unit(label.unit), label.words) for name, (label, _) in view.maps.items()
-        ],
-        "Versions": _versions(file, attributes),
-    }
-    texts = {"Problem": attributes["problem"]} if "problem" in attributes else {}
-    head = attributes.get("title", file.stem), "Where and how the vehicle can stand.", True
-    return Report(*head, summary, tables, atlas_plots(view), "", texts)
 
 
 def _versions(file: Path, attributes: Mapping[str, str]) -> Lines:

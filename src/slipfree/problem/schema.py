@@ -159,17 +159,16 @@ class MadeGround(toml.Record):
         return grid
 
 
-def _description(feature: Callable[..., Grid]) -> str:
-    """Return the noun of "Return the grid with ... added", the docstring of a feature."""
-    summary = (feature.__doc__ or "").partition("\n")[0]
-    return summary.removeprefix("Return the grid with ").replace(" added", "").rstrip(".")
-
-
 Synthetic: Any = create_model(
     "Synthetic",
     __base__=MadeGround,
     __doc__=MadeGround.__doc__,
-    **{name: _optional(feature, _description(feature)) for name, feature in FEATURES.items()},
+    **{
+        name: _optional(feature, summary.removesuffix(".").replace(" added", ""))
+        for name, feature in FEATURES.items()
+        # the noun of "Return the grid with ... added."
+        for summary in [(feature.__doc__ or "").partition("\n")[0].partition("the grid with ")[2]]
+    },
 )
 
 

@@ -25,7 +25,7 @@ from slipfree.routing.traversability import extents
 from slipfree.show.ground_drawing import muted
 from slipfree.show.local_server import Content, page_file
 from slipfree.show.plots import Plot, draw
-from slipfree.show.scene import WORLD, Color, Entry, Layer, Scene
+from slipfree.show.scene import WORLD, Color, Layer, Scene
 from slipfree.show.style import DPI, STYLE, figure
 from slipfree.terrain.base import Grid
 from slipfree.vehicle.tree import Vehicle
@@ -46,7 +46,16 @@ def with_legend(
     Motions of the scene have the times of the page. ``color`` names a layer of the ground,
     ``colored`` one of the tracks, or none.
     """
-    switches = "".join(map(_switch, scene.entries))
+    switches = ""
+    for entry in scene.entries:
+        names, css = escape("|".join(entry.nodes)), _css(entry.color)
+        look = "swatch ghost" if entry.ghost else "swatch"
+        stop = f'<div class="warning">{escape(entry.stop)}</div>' if entry.stop else ""
+        switches += (
+            f'<label><input type="checkbox" checked data-nodes="{names}">'
+            f'<span><span class="{look}" style="color:{css};background:{css}"></span>'
+            f"{escape(entry.label)}{stop}</span></label>"
+        )
     warned = "".join(f'<p class="warning">{escape(each)}</p>' for each in scene.warnings)
     notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, *words, SAVED_KEYS))
     grounds = {
@@ -117,17 +126,6 @@ def _plots(scene: Scene) -> str:
     first, last = scene.span
     lines = " ".join(f'<b style="color:{color}">{escape(n)}</b>' for n, color in names.items())
     return f"{lines}{plots}<div><span>{first:g} s</span><span>{last:g} s</span></div>"
-
-
-def _switch(entry: Entry) -> str:
-    names = escape("|".join(entry.nodes))
-    box = f'<input type="checkbox" checked data-nodes="{names}">'
-    look, css = "swatch ghost" if entry.ghost else "swatch", _css(entry.color)
-    words = f'<span class="{look}" style="color:{css};background:{css}"></span>'
-    words += escape(entry.label)
-    if entry.stop:
-        words += f'<div class="warning">{escape(entry.stop)}</div>'
-    return f"<label>{box}<span>{words}</span></label>"
 
 
 def _css(color: Color) -> str:

@@ -36,17 +36,14 @@ def reduced(meshes: Mapping[str, TriangleMesh], most: int) -> dict[str, Triangle
     merged = dict(meshes)
     cell = FINEST * max((float(np.ptp(each.vertices)) for each in meshes.values()), default=0.0)
     while sum(len(each.faces) for each in merged.values()) > most:
-        merged, cell = {name: _merged(each, cell) for name, each in meshes.items()}, 1.5 * cell
+        for name, mesh in meshes.items():  # one vertex per cubic cell, and faces that remain
+            cells = np.round(mesh.vertices / cell)
+            _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+            faces = number.reshape(-1)[mesh.faces].astype(np.uint32)
+            kept = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+            merged[name] = TriangleMesh(mesh.vertices[first], faces[kept])
+        cell *= 1.5
     return {name: each for name, each in merged.items() if len(each.faces)}
-
-
-def _merged(mesh: TriangleMesh, cell: float) -> TriangleMesh:
-    """Return a mesh with one vertex per cubic cell [m], without faces that thereby vanish."""
-    cells = np.round(mesh.vertices / cell)
-    _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    faces = number.reshape(-1)[mesh.faces].astype(np.uint32)
-    kept = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    return TriangleMesh(mesh.vertices[first], faces[kept])
 
 
 def spokes(radius: float) -> TriangleMesh:

@@ -96,23 +96,21 @@ def save(
                 "another format"
             )
     make_folder(Path(folder))
-    files = [file for plot in plots for file in _save_figure(plot, Path(folder), formats)]
+    files = list[Path]()
+    for plot in plots:
+        figure = draw([plot])[plot.name]
+        figure.dpi = DPI
+        with rc_context(STYLE):  # type: ignore[arg-type]
+            style.lay_out(figure)
+            figure.set_layout_engine(None)  # otherwise savefig draws everything once for the layout
+            for end in formats:
+                more: dict[str, Any] = {"pil_kwargs": COMPRESSION} if end == "png" else {}
+                files.append(Path(folder) / f"{plot.name}.{end}")
+                replace_file(files[-1], partial(figure.savefig, dpi=DPI, **more))
+        del figure
     # Figures are reference cycles that hold images of several megabytes; without this, the figures
     # of one or two motions stay in memory until Python happens to collect them.
     gc.collect()
-    return files
-
-
-def _save_figure(plot: Plot, folder: Path, formats: Sequence[str]) -> list[Path]:
-    figure = draw([plot])[plot.name]
-    files = [folder / f"{plot.name}.{end}" for end in formats]
-    figure.dpi = DPI
-    with rc_context(STYLE):  # type: ignore[arg-type]
-        style.lay_out(figure)
-        figure.set_layout_engine(None)  # otherwise savefig draws everything once for the layout
-        for file in files:
-            more: dict[str, Any] = {"pil_kwargs": COMPRESSION} if file.suffix == ".png" else {}
-            replace_file(file, partial(figure.savefig, dpi=DPI, **more))
     return files
 
 

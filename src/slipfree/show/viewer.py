@@ -266,18 +266,17 @@ def tracks(points: Array, width: float, *, dashed: bool) -> TriangleMesh:
 def _add_colored(server: viser.ViserServer, name: str, mesh: TriangleMesh, colors: Colors) -> Any:
     import trimesh
 
+    def matt(tree: dict[str, Any]) -> None:
+        """Set a matt material for all meshes of a glTF tree; the default is metallic and dark."""
+        tree["materials"] = [{"pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}}]
+        for mesh in tree["meshes"]:
+            for each in mesh["primitives"]:
+                each["material"] = 0
+
     light = linear(colors)  # glTF expects colours in linear light, not in sRGB
     drawn = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=light, process=False)
-    data: Any = drawn.export(file_type="glb", tree_postprocessor=_matt)
+    data: Any = drawn.export(file_type="glb", tree_postprocessor=matt)
     return server.scene.add_glb(name, data)
-
-
-def _matt(tree: dict[str, Any]) -> None:
-    """Set a matt material for all meshes of a glTF tree; the default is metallic and dark."""
-    tree["materials"] = [{"pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}}]
-    for mesh in tree["meshes"]:
-        for each in mesh["primitives"]:
-            each["material"] = 0
 
 
 def linear(colors: Colors) -> Colors:

@@ -138,7 +138,11 @@ def sweep_of(
             f"sweep: expected at most {MAX_RUNS} runs, found {sizes}; vary fewer values, or "
             "reduce --repeat"
         )
-    text, points = toml.read_text(file), _checked_points(axes)
+    # the first point of the grid, then those that differ from it in one value
+    base = [f"{axis.name}={axis.values[0]}" for axis in axes]
+    others = ((k, f"{axis.name}={v}") for k, axis in enumerate(axes) for v in axis.values[1:])
+    points = [base, *([*base[:k], value, *base[k + 1 :]] for k, value in others)]
+    text = toml.read_text(file)
     problems = (load_again(file, text, settings, varied=varied) for varied in points)
     first = replace(next(problems), trusted=trusted_paths(trust))
     files, count = inputs.input_files(first), sum(len(axis.values) for axis in axes)
@@ -162,15 +166,6 @@ def sweep_of(
     return replace(bare, seeds=seeds, repeat=repeat)
 
 
-def _checked_points(axes: Sequence[Varied]) -> Iterator[list[str]]:
-    """Yield the first point of a grid, then those that differ from it in one value."""
-    first = [f"{axis.name}={axis.values[0]}" for axis in axes]
-    yield first
-    for k, axis in enumerate(axes):
-        for value in axis.values[1:]:
-            yield [*first[:k], f"{axis.name}={value}", *first[k + 1 :]]
-
-
 def axis_of(text: str) -> Varied:
     """Return the key and the values of ``key=a:b:n`` or ``key=v1,v2,...``.
 
@@ -188,8 +183,15 @@ def axis_of(text: str) -> Varied:
             f"--vary {text}: expected key=a:b:n for n numbers from a to b, or key=v1,v2,..., "
             f"found {text!r}; write it in one of these forms"
         )
-    match = RANGE.fullmatch(rest)
-    values = _range(text, *match.groups()) if match else _values(rest)
+    values = tuple(part.strip() for part in rest.split(","))
+    if match := RANGE.fullmatch(rest):
+        values = _range(text, *match.groups())
+    else:
+        # TOML equals JSON for strings, numbers, booleans and arrays
+        with suppress(ValueError, TypeError):
+            listed = toml.load_toml(f"values = [{rest}]")["values"]
+            if not any(isinstance(value, dict) for value in listed):
+                values = tuple(json.dumps(value, ensure_ascii=False) for value in listed)
     if "" in values:
         raise DataError(
             f"--vary {text}: expected values between commas, found an empty value; remove a comma"
@@ -263,18 +265,6 @@ def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
     numbers = [float(f"{value:.{DIGITS}g}") for value in np.linspace(low, high, n)]
     whole = WHOLE.fullmatch(first) and WHOLE.fullmatch(last) and (high - low) % (n - 1) == 0
     return tuple(str(round(value)) if whole else str(value) for value in numbers)
-
-
-def _values(text: str) -> tuple[str, ...]:
-    """Return comma-separated values as TOML text, or as words if they are not valid TOML.
-
-    TOML text equals JSON for strings, numbers, booleans and arrays.
-    """
-    with suppress(ValueError, TypeError):
-        values = toml.load_toml(f"values = [{text}]")["values"]
-        if not any(isinstance(value, dict) for value in values):
-            return tuple(json.dumps(value, ensure_ascii=False) for value in values)
-    return tuple(part.strip() for part in text.split(","))
 
 
 COMPLETE = "complete"  # figure of every run: 1 if it reached its end
@@ -547,7 +537,19 @@ def sweep_facts(
         words = f"{good:.0f} of {count} runs ({100 * good / count:.0f} %): solved, and the "
         words += "simulation satisfies goal and limits within plan.accuracy"
         facts.append(("within limits", words))
-    return [*facts, *(fact for name in figures for fact in _spreads(tables[name]))]
+    # mean and range of each metric, over all runs and for every value of every key
+    for swept in (tables[name] for name in figures):
+        unit = "" if swept.unit in ("1", "") else f" {swept.unit}"
+        facts.append((swept.name, _spread(swept.values, unit)))
+        for k, axis in enumerate(swept.axes):
+            parts = np.moveaxis(swept.values, k, 0)
+            for value, part in list(zip(axis.values, parts, strict=True))[:MAX_VALUES]:
+                short = f"{float(value):.6g}" if axis.numbers else value
+                facts.append((f"  {axis.name} = {short}", _spread(part, unit)))
+            if len(parts) > MAX_VALUES:
+                more = f"{len(parts) - MAX_VALUES} more values; {TABLE} lists all"
+                facts.append(("  ...", more))
+    return facts
 
 
 def _outcomes(sweep: Sweep, rows: Rows) -> Iterator[tuple[str, str]]:
@@ -570,19 +572,6 @@ def seed_facts(sweep: Sweep) -> Iterator[tuple[str, str]]:
     for i, key in enumerate(sweep.seeds):
         first = sweep.seed + i * sweep.repeat
         yield f"  {key}", f"{first} to {first + sweep.repeat - 1}"
-
-
-def _spreads(swept: Swept) -> Iterator[tuple[str, str]]:
-    """Yield mean and range of a metric, over all runs and for every value of every key."""
-    unit = "" if swept.unit in ("1", "") else f" {swept.unit}"
-    yield swept.name, _spread(swept.values, unit)
-    for k, axis in enumerate(swept.axes):
-        parts = np.moveaxis(swept.values, k, 0)
-        for value, part in list(zip(axis.values, parts, strict=True))[:MAX_VALUES]:
-            short = f"{float(value):.6g}" if axis.numbers else value
-            yield f"  {axis.name} = {short}", _spread(part, unit)
-        if len(parts) > MAX_VALUES:
-            yield "  ...", f"{len(parts) - MAX_VALUES} more values; {TABLE} lists all"
 
 
 def _spread(values: Array, unit: str) -> str:

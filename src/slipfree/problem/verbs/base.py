@@ -58,7 +58,6 @@ from slipfree.solve.settle import stable_poses
 from slipfree.solve.simulate import simulate, simulate_sampled
 from slipfree.solve.system import SolverOptions
 from slipfree.system.interrupt import check_interrupt
-from slipfree.terrain.base import Grid
 
 if TYPE_CHECKING:
     from slipfree.models.montana import Difference
@@ -312,8 +311,37 @@ class DriveVerb(Verb, ABC):
         run, arrays = self.drive(problem, setup, watch, resume)
         if setup.vehicle.mass:
             run = run.with_facts({"gravity": Fact(setup.vehicle.gravity, "m s-2")})
+        vehicle, grid = setup.vehicle, setup.ground.grid
+
+        def with_filled(run: Trajectory) -> Trajectory:
+            """Return a motion with facts about wheel paths over filled holes, if there are any."""
+            if grid.filled is None:
+                return run
+            on = grid.touches(grid.filled, run["contact_x"], run["contact_y"])
+            steps = np.sqrt(sum(np.diff(run[f"contact_{axis}"], axis=0) ** 2 for axis in "xyz"))
+            lengths = (0.5 * (on[:-1].astype(float) + on[1:]) * steps).sum(axis=0)
+            paths = _by_wheel(run, {"length": lengths, "path_length": steps.sum(axis=0)})
+            samples = int(np.count_nonzero(on.any(axis=1)))
+            return run.with_facts({FILLED: Fact(samples, "1"), "filled_paths": Fact(paths)})
+
+        def with_ending(run: Trajectory) -> Trajectory:
+            """Return a motion with a fact about its ending on solids, if there are solids."""
+            ending = obstacle_ending(run, vehicle, setup.prisms)
+            facts = {OBSTACLES: Fact(ending.name, words=ending.words)} if ending else {}
+            return run.with_facts(facts)
+
+        diagnostics: dict[str, Diagnostic] = {
+            "filled_ground": with_filled,
+            OBSTACLES: with_ending,
+            CLOSEST: lambda run: run.with_facts(closest_fact(vehicle, setup.terrain, run)),
+        }
+        has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
+        if has_choice and "kinetic_energy" not in run:  # dynamics has one distribution of forces
+            diagnostics[BEST.name] = partial(best_utilisation, vehicle, setup.terrain)
         law = model_law(problem) if isinstance(problem.spec, Modelled) else None
-        return with_diagnostics(run, _diagnostics(setup, law, run), watch, arrays), arrays
+        if isinstance(law, Soil):
+            diagnostics[RESERVE.name] = partial(drawbar_reserve, vehicle, law)
+        return with_diagnostics(run, diagnostics, watch, arrays), arrays
 
     def describe_start(
         self, problem: Problem[MotionKeys], setup: Setup
@@ -561,36 +589,3 @@ def world_of(result: Result) -> World:
             f"{vehicle.name!r} with other wheels or joints; run the problem again"
         )
     return world
-
-
-def _diagnostics(setup: Setup, law: object, run: Trajectory) -> dict[str, Diagnostic]:
-    vehicle = setup.vehicle
-
-    def with_ending(run: Trajectory) -> Trajectory:
-        """Return a motion with a fact about its ending on solids, if there are solids."""
-        ending = obstacle_ending(run, vehicle, setup.prisms)
-        return run.with_facts({OBSTACLES: Fact(ending.name, words=ending.words)} if ending else {})
-
-    diagnostics: dict[str, Diagnostic] = {
-        "filled_ground": partial(_with_filled, setup.ground.grid),
-        OBSTACLES: with_ending,
-        CLOSEST: lambda run: run.with_facts(closest_fact(vehicle, setup.terrain, run)),
-    }
-    has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
-    if has_choice and "kinetic_energy" not in run:  # dynamics has one distribution of forces
-        diagnostics[BEST.name] = partial(best_utilisation, vehicle, setup.terrain)
-    if isinstance(law, Soil):
-        diagnostics[RESERVE.name] = partial(drawbar_reserve, vehicle, law)
-    return diagnostics
-
-
-def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
-    """Return a motion with facts about wheel paths over filled holes, if the map has holes."""
-    if grid.filled is None:
-        return run
-    on = grid.touches(grid.filled, run["contact_x"], run["contact_y"])
-    steps = np.sqrt(sum(np.diff(run[f"contact_{axis}"], axis=0) ** 2 for axis in "xyz"))
-    lengths = (0.5 * (on[:-1].astype(float) + on[1:]) * steps).sum(axis=0)
-    paths = _by_wheel(run, {"length": lengths, "path_length": steps.sum(axis=0)})
-    samples = int(np.count_nonzero(on.any(axis=1)))
-    return run.with_facts({FILLED: Fact(samples, "1"), "filled_paths": Fact(paths)})
