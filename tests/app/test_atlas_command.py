@@ -44,8 +44,7 @@ def site(folder):
 
 @pytest.fixture
 def small_tiles(monkeypatch):
-    for module in (core, sys.modules["slipfree.files.atlas_files"]):
-        monkeypatch.setattr(module, "TILE", 16)
+    monkeypatch.setattr(core, "TILE", 32)  # half of it on small maps
 
 
 def write_map(z, **more):

@@ -163,7 +163,7 @@ def test_undetermined_unknowns_end_with_exit_code_1() -> None:
     times = np.arange(0, 20.05, 0.1)
     y = 0.17 * (2 * times + 1 - np.cos(times)) + np.random.default_rng(0).normal(0, 1e-3, 201)
     rows = zip(times, 0 * times, y, 0 * times, 2 + np.sin(times), strict=True)
-    write_rows(Path("log.csv"), ["t", "x", "y", "heading", "rate"], rows)
+    write_rows(Path("log.csv"), ["t", "x", "y", "heading", "rate_rad_s"], rows)
     Path("fit.toml").write_text(
         LOG.replace("prior = [0.57, 0.3]\n", "").replace("[unk", f"[data.rates]\n{STRAIGHT}[unk", 1)
     )

@@ -79,6 +79,7 @@ STANDS = "the vehicle stands"
 NO_POSE = "no pose was found at which all wheels touch the ground"
 HEADINGS = 16
 TILE = 64  # nodes of the side of a tile
+SMALL = 16 * TILE**2  # nodes of a map with tiles of half this side
 LEAST_FRICTION = quantity_label("least_friction_low"), quantity_label("least_friction_high")
 LEAST_UTILISATION = (  # where friction differs from place to place
     quantity_label("least_utilisation_low"),
@@ -348,14 +349,20 @@ def atlas(
     return Atlas(x, y, heading, bands, evaluator.reasons, model.ground)
 
 
+def tile_side(nodes: int) -> int:
+    """Return the nodes of a tile's side; small maps have many tiles, too, for all processes."""
+    return TILE if nodes > SMALL else TILE // 2
+
+
 def tiles_of(n_x: int, n_y: int) -> Iterator[tuple[slice, slice]]:
     """Yield the tiles of a map as slices of its two axes, in rows from the north-western corner.
 
     They are blocks of a raster, whose first row is the northernmost one.
     """
-    for j in range(n_y, 0, -TILE):
-        for i in range(0, n_x, TILE):
-            yield slice(i, min(i + TILE, n_x)), slice(max(j - TILE, 0), j)
+    side = tile_side(n_x * n_y)
+    for j in range(n_y, 0, -side):
+        for i in range(0, n_x, side):
+            yield slice(i, min(i + side, n_x)), slice(max(j - side, 0), j)
 
 
 @lru_cache(maxsize=4)

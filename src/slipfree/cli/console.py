@@ -537,7 +537,7 @@ def duration(seconds: float) -> str:
     for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.2g} {unit}"
-    return f"{seconds:.2g} s"
+    return f"{float(f'{seconds:.2g}'):g} s"
 
 
 def workers_of(processes: int | None, scheduler: str | None) -> int | Callable[..., Any]:

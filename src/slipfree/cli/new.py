@@ -35,7 +35,9 @@ TABLES = {  # comments
     "terrain": "see docs/elevation.md; the coefficient of friction is an assumption",
     "start": "where the vehicle stands; height, pitch and roll follow from the ground",
     "goal": "near the start: change it",
+    "given": "commands of the platform: forward, to the left [m/s], counter-clockwise [rad/s]",
 }
+COMMANDS = {"v_x": 0.2, "v_y": 0.0, "omega_z": 0.05}  # of an inverse problem [m/s, rad/s]
 NEED = ("file", "friction")  # keys whose values are names of input files
 
 
@@ -77,13 +79,10 @@ def new(
     text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
     text = text.replace(f" {HOLE}", f" {word}")
     if ground is not None or vehicle is not None or settings:
-        if ground is None or vehicle is None or kind == "inverse":
+        if ground is None or vehicle is None:
             raise DataError(
-                "new: expected --ground and --vehicle together, for direct, plan or atlas, "
-                f"found {kind} with one of them or --set alone; add the other one"
-                if kind != "inverse"
-                else "new: expected direct, plan or atlas with --ground and --vehicle, found "
-                "inverse; omit them, and enter map and vehicle in the file"
+                "new: expected --ground and --vehicle together, found one of them or --set alone; "
+                "add the other one"
             )
         from slipfree.problem.build_vehicle import build_vehicle
         from slipfree.problem.ground_survey import stand
@@ -112,6 +111,8 @@ def new(
         heading, place = pose["heading"], {name: round(pose[name], 3) for name in "xy"}
         if kind != "atlas":
             tables["start"] = {**place, "heading": f"{math.degrees(heading) % 360:g} deg"}
+        if kind == "inverse":
+            tables["given"] = COMMANDS
         if kind == "plan":
             # ahead, left, right or behind: the farthest place that is on the map
             reach, goals = extents(build_vehicle(problem))[2], []

@@ -22,12 +22,12 @@ from slipfree.atlas.atlas import (
     ELEVATION,
     LIMIT,
     REASON,
-    TILE,
     Atlas,
     Band,
     Bounds,
     Verdicts,
     summary,
+    tile_side,
     tiles_of,
     verdicts,
 )
@@ -129,6 +129,7 @@ def write_geotiff(
             )
     east, north = site.on_map("x", x), site.on_map("y", y)
     d_x, d_y = ((axis[-1] - axis[0]) / (axis.size - 1) for axis in (east, north))
+    side = tile_side(x.size * y.size)
     profile = {
         "driver": "GTiff",
         "width": x.size,
@@ -138,8 +139,8 @@ def write_geotiff(
         "crs": system,
         "transform": Affine(d_x, 0, east[0] - d_x / 2, 0, -d_y, north[-1] + d_y / 2),
         "tiled": True,
-        "blockxsize": TILE,
-        "blockysize": TILE,
+        "blockxsize": side,
+        "blockysize": side,
         "compress": "deflate",
         "predictor": 3,
         "interleave": "band",

@@ -41,9 +41,10 @@ UNITS = {  # SI unit of a column, and factor to it
     for unit, factors in UNIT_FACTORS.items()
     for name, factor in factors.items()
 }
-UNIT_IN_NAME = (  # "x [m]", "time(s)"; "t / s"; "yaw_deg"
+UNIT_IN_NAME = (  # "x [m]", "time(s)"; "t / s"; "left_rad_s", "vx_m_per_s"; "yaw_deg"
     re.compile(r"^(.*?)[\s_]*[\[(]\s*(.*?)\s*[\])]$"),
     re.compile(r"^(.*?)\s*/\s*(\S+)$"),
+    re.compile(r"^(.*)_([^\W_]+_(?:per_)?[sh])$"),
     re.compile(r"^(.*)_([^\W_]+)$"),
 )
 ALIASES = (  # names of the same quantity
@@ -262,7 +263,7 @@ def line_of(path: Path, row: int) -> int:
 
 def known_unit(text: str) -> tuple[str, float] | None:
     """Return the SI unit and the factor of a unit, also in brackets; None if it is not known."""
-    text = text.strip("[]() ")
+    text = re.sub("_(per_)?", "/", text.strip("[]() "))
     return UNITS.get(text, UNITS.get(text.lower()))
 
 

@@ -124,6 +124,11 @@ class Watch(NamedTuple):
     keep: Callable[[Trajectory, Mapping[str, Array]], None] = lambda *_: None
     beside: Path | None = None  # output, next to which a folder keeps finished parts
 
+    def begin(self, phase: str) -> None:
+        """Report the beginning of a phase without iterates of its own."""
+        if self.line is not None:
+            self.line(phase, phase)
+
 
 def integrate(setup: Any, options: SolverOptions, watch: Watch) -> Trajectory:
     """Return the motion of a set-up, or its part up to Ctrl-C or to a failure of the integrator.
@@ -163,6 +168,7 @@ def with_diagnostics(
     for name, diagnose in diagnostics.items():
         try:
             check_interrupt()
+            watch.begin(f"checking the motion: {name.replace('_', ' ')}")
             run = diagnose(run)
         except KeyboardInterrupt:
             t = float(run.t[-1])

@@ -519,14 +519,22 @@ class _Reader(NamedTuple):
             path,
             wanted,
             inputs.columns,
-            where="--set data.columns or data.rates, their unit with --set data.unit"
-            if self.problem.source.is_made
-            else "[data.columns] or [data.rates]",
+            where=self._remedy(),
             units=units,
             is_linear=data.inputs == "readings",
             timeout=data.timeout,
             max_error=data.max_error,
         )
+
+    def _remedy(self) -> str:
+        """Return the places in which columns are named, with the remedy for joints without one."""
+        tables = "[data.columns] or [data.rates]"
+        if self.problem.source.is_made:
+            tables = "--set data.columns" if self.problem.spec.vehicle is None else "a problem file"
+            tables += ", as in data.columns.x=east, and their unit with --set data.unit=rad/s"
+        if joints := self.inputs.joints:
+            tables += f', or hold joints that do not move (URDF: joints.{joints[0]} = "fixed")'
+        return tables
 
     def _check(self, log: MotionLog, frame: str) -> None:
         """Raise DataError if columns of a log contradict each other."""

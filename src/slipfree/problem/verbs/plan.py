@@ -229,7 +229,10 @@ def _simulated_words(facts: Facts, *, is_solved: bool) -> str:
         {fact.words: fact.value for fact in violations},
         {fact.words: fact.unit for fact in violations},
     )
-    return f"{words}; violates {missed}; plan.accuracy allows {facts['plan_accuracy'].value:g}"
+    accuracy = facts["plan_accuracy"].value
+    if all(fact.value <= accuracy for fact in violations):
+        return f"{words}; meets all constraints within plan.accuracy, {accuracy:g}: {missed}"
+    return f"{words}; violates {missed}; plan.accuracy allows {accuracy:g}"
 
 
 def _windows_words(rows: list[dict[str, Any]]) -> str:
@@ -289,6 +292,7 @@ class PlanVerb(base.DriveVerb):
             progress = (lambda *_: False) if is_interrupted else progress
         guesses: list[Trajectory] = []
         if not resume and not spec.plan.window:
+            watch.begin("driving the initial guess")
             with at(problem, ("driver" if spec.driver else "inputs",)):
                 guesses = [plan_search.start_motion(setup, k) for k in range(len(setup.starts))]
 
@@ -332,6 +336,7 @@ class PlanVerb(base.DriveVerb):
             run, arrays = with_plan(long, long.replay)
             checks = {"by_friction": lambda run: run.with_facts(_by_friction(setup, long))}
             return base.with_diagnostics(run, checks, watch, arrays), arrays
+        watch.begin("setting up the search")
         plan = plan_search.find_plan(setup, guesses, resume, progress, keep=keep)
         tested = plan_search.Tested(plan)
         if spec.plan.robust is not None and plan.accurate:
