@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import sys
@@ -32,6 +33,9 @@ from slipfree.system.interrupt import interrupt_arrived, interrupt_at_signals, i
 INTERRUPTED = (
     130  # exit code; equal to that of `slipfree.core.trajectory`, whose import would be slow
 )
+# Expressions are up to a million objects without cycles: Python's default of 700 new objects for
+# each search for cycles would take up to a twelfth of the time of a plan.
+OBJECTS = 10_000
 
 
 def main() -> None:
@@ -58,6 +62,7 @@ def _run() -> None:
     from slipfree.system.forks import single_thread
 
     single_thread()
+    gc.set_threshold(OBJECTS)
     os.environ["MPLBACKEND"] = "agg"  # a notebook's backend may not be installed here
     _open_streams()
     from slipfree.cli import main as run
