@@ -49,7 +49,7 @@ def test_a_new_problem_runs_as_it_is(kind: str) -> None:
     assert "slipfree run mine.toml" in text
     assert "FILE" not in text
     result = invoke("check", "mine.toml")
-    assert (result.exit_code, result.stdout[-3:]) == (0, "ok\n"), result.output
+    assert (result.exit_code, result.stdout[:2]) == (0, "ok"), result.output
     assert f'verb = "{kind}"' in text
     result = invoke("run", "mine.toml", "--no-draw", "--verbose", code=0)
     iterates = re.findall(r"iteration \d+, constraints ", result.stderr)
@@ -119,7 +119,7 @@ def test_quiet_prints_errors_alone() -> None:
     assert (result.exit_code, result.stdout) == (1, "")
     assert "limit reached at t = 1.25 s (map_margin[front]): wheel front leaves" in result.stderr
     assert invoke("check", "no.toml", "-q").stderr.startswith("no.toml: expected a problem file")
-    assert invoke("check", "p.toml").stdout.endswith("ok\n")  # it is not remembered
+    assert invoke("check", "p.toml").stdout.startswith("ok ")  # it is not remembered
 
 
 @pytest.mark.slow
@@ -340,7 +340,7 @@ def test_a_failure_without_a_motion(folder, monkeypatch):
 
 def test_check():
     result = invoke("check", "p.toml", code=0)
-    assert result.stdout.endswith("ok\n")
+    assert result.stdout.startswith("ok ")
     assert "driver straight" in result.stdout
     assert "z 0.3" in result.stdout
     assert "clean: no other part of the ground near the wheels, relative" in result.stdout

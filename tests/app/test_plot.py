@@ -360,7 +360,7 @@ def test_utilisation_is_measured_against_all_that_friction_gives(loaded, ax):
     drawn(ax.figure)
     wheels = ["right", "left", "front"]
     assert labels(ax)[:-1] == [*wheels, "optimal distribution of forces", "friction limit"]
-    assert labels(ax)[-1].startswith("largest, front: ")
+    assert labels(ax)[-1].startswith("largest utilisation: ")
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), loaded["utilisation", "right"])
     np.testing.assert_array_equal(ax.lines[3].get_ydata(), loaded["utilisation_best"])
     assert list(ax.lines[4].get_ydata()) == [1, 1]
@@ -377,9 +377,8 @@ def test_huge_utilisation_is_cut_and_said_to_be(loaded, ax, value):
     remark, worst = labels(ax)[-2:]
     assert remark.startswith("not drawn above 3")
     assert remark.endswith("infinite where a wheel bears no load") == np.isinf(value)
-    assert (
-        worst == f"largest, left: {'infinite' if np.isinf(value) else '47'} at {loaded.t[10]:.4g} s"
-    )
+    number = "infinite" if np.isinf(value) else "47"
+    assert worst == f"largest utilisation: {number}, left at {loaded.t[10]:.4g} s"
     values = ax.lines[1].get_ydata()
     assert np.isfinite(values).all()
     assert (values[10:13] > motion_figures.CEILING).all()
@@ -421,7 +420,7 @@ def test_tracks_are_coloured_by_utilisation(loaded, ax):
     worst = [piece for piece, much in zip(lines.get_segments(), over, strict=True) if much]
     np.testing.assert_allclose(worst, np.stack([at[9:13], at[10:14]], axis=1))
     assert labels(ax) == [
-        f"largest, left: infinite at {loaded.t[10]:.4g} s",
+        f"largest utilisation: infinite, left at {loaded.t[10]:.4g} s",
         "above the friction limit",
     ]
 

@@ -171,7 +171,7 @@ def test_a_starter_goes_the_other_way(key: tuple[str, str]) -> None:
             assert name[1] in " ".join(settings)
         options = [part for each in settings for part in ("--set", each)]
         result = runner.invoke(app, ["check", "mine.toml", *options])
-        assert (result.exit_code, result.stdout[-3:]) == (0, "ok\n"), (settings, result.output)
+        assert (result.exit_code, result.stdout[:2]) == (0, "ok"), (settings, result.output)
 
 
 REFUSED = tomllib.loads((Path(__file__).parents[1] / "data/refused_settings.toml").read_text())

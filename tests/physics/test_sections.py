@@ -255,4 +255,4 @@ def test_installed_it_lists_copies_and_runs(installed: Mapping[str, str], tmp_pa
     _done([*command, "run", "your_vehicle.toml", *settings], tmp_path, **installed)
     assert (tmp_path / "your_vehicle.nc").is_file()
     _done([*command, "new", "direct", "mine"], tmp_path, **installed)
-    assert _done([*command, "check", "mine.toml"], tmp_path, **installed).endswith("ok\n")
+    assert _done([*command, "check", "mine.toml"], tmp_path, **installed).startswith("ok ")

@@ -138,8 +138,7 @@ def atlas(
     if draw:
         from slipfree.show.atlas_figures import atlas_plots
 
-        plots = outputs.draw(atlas_plots(view), figures)
-        console.print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
+        outputs.draw_figures(atlas_plots(view), figures)
 
 
 def _toml(text: str, default: str = "") -> str:

@@ -12,9 +12,11 @@ import typer
 from slipfree.cli import console, outputs
 from slipfree.cli.atlas import as_arguments, ground_of
 from slipfree.cli.console import BAD_INPUT, Draw, File, Force, ResultFile, Settings, Trust
-from slipfree.cli.new import write_new_file
+from slipfree.cli.new import POSES, write_new_file
 from slipfree.core.errors import DataError
 from slipfree.core.facts import TableColumn, table
+
+OK = "ok", "no errors found"
 
 
 def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
@@ -28,15 +30,13 @@ def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
 
     problem = console.read_problem(file, settings, trust, "check")
     if isinstance(problem.spec, AtlasKeys):
-        console.print_facts(build_atlas(problem).facts)
-        console.print_line("ok")
+        console.print_facts([OK, *build_atlas(problem).facts])
         return
     setup = build(problem)
     console.detail("settled the vehicle at the start")
     start, facts = verb_of(problem).describe_start(problem, setup)
     console.add_json("start", lambda: outputs.quantities(start))
-    console.print_facts([*setup.facts, *facts])
-    console.print_line("ok")
+    console.print_facts([OK, *setup.facts, *facts])
 
 
 def ground(
@@ -72,8 +72,8 @@ def ground(
     pose: Mapping[str, float] = {}
     try:
         if vehicle is not None or file.suffix.lower() == ".toml":
-            with as_arguments():
-                pose, standing = stand(problem, ground.grid)
+            with as_arguments(), console.counted(POSES) as progress:
+                pose, standing = stand(problem, ground.grid, progress)
             lines += standing
             console.add_json("start", lambda: pose)
     finally:  # also if the vehicle has errors

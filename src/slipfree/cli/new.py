@@ -16,7 +16,15 @@ import tomlkit
 import typer
 
 from slipfree.cli.atlas import as_arguments, ground_of
-from slipfree.cli.console import Force, Settings, Trust, add_json, add_json_file, print_line
+from slipfree.cli.console import (
+    Force,
+    Settings,
+    Trust,
+    add_json,
+    add_json_file,
+    counted,
+    print_line,
+)
 from slipfree.cli.outputs import check_outputs
 from slipfree.core.errors import DataError, similar
 from slipfree.system.regular_files import check_name, make_folder, replace_file
@@ -30,6 +38,7 @@ HOLE = "FILE"  # placeholder of the file name in the comments of a template
 SHIPPED = "problems"  # in the package
 OWN = ("terrain", "vehicle")  # tables with the user's files
 FRICTION = 0.6  # assumed coefficient
+POSES = "poses tried for a start"  # in lines of progress
 AHEAD = 6.0  # distance of the goal [reach of the vehicle]
 TABLES = {  # comments
     "terrain": "see docs/elevation.md; the coefficient of friction is an assumption",
@@ -94,9 +103,9 @@ def new(
                     f"--set: expected a key of {' or '.join(f'[{name}]' for name in OWN)}, found "
                     f"{each!r}; change other keys in the written file"
                 )
-        with as_arguments():
+        with as_arguments(), counted(POSES) as progress:
             problem, surface = ground_of(ground, vehicle, settings or [], trust)
-            pose, ((_, words), *_) = stand(problem, surface.grid)
+            pose, ((_, words), *_) = stand(problem, surface.grid, progress)
         if not pose:
             raise DataError(
                 f"{ground}: expected a place where the vehicle stands, found that it stands "

@@ -179,6 +179,12 @@ def draw(plots: Iterable[Plot], folder: Path, formats: Sequence[str] = ("png",))
     return files
 
 
+def draw_figures(plots: Iterable[Plot], folder: Path, more: str = "") -> None:
+    """Draw figures in a folder, and print their names, followed by a text."""
+    names = ", ".join(file.stem for file in draw(plots, folder))
+    console.print_line(f"drew {names} in {folder}{more}")
+
+
 def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any]) -> None:
     """Raise DataError for default output paths that could overwrite other files of the user.
 

@@ -15,6 +15,7 @@ from slipfree.cli.outputs import OUTPUT
 from slipfree.cli.show import show as show_results
 from slipfree.core.errors import SlipfreeError, WriteError, require
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
+from slipfree.system.regular_files import check_ending
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -82,6 +83,7 @@ def run(
     # the search may go on in the file from which it resumes
     outputs.check_outputs([csv], [*files_read(problem), *([resume] if resume else [])])
     outputs.check_outputs([out, csv], files_read(problem), folder=folder)
+    check_ending(out, (".nc",), "choose another name; --csv OUT.csv also writes a table")
     for option, value in ((CROSS_CHECK, cross_check), (RESUME, resume)):
         if value:
             check_option(problem, option)
@@ -135,10 +137,9 @@ def run(
             from slipfree.show.plots import MAIN_COUNT
 
             plots = verb.figures(result)
-            drawn = outputs.draw(plots if figures_all else plots[:MAIN_COUNT], folder)
+            drawn = plots if figures_all else plots[:MAIN_COUNT]
             rest = len(plots) - len(drawn)
-            more = f"; {rest} more with --figures-all" if rest else ""
-            console.print_line(f"drew {', '.join(file.stem for file in drawn)} in {folder}{more}")
+            outputs.draw_figures(drawn, folder, f"; {rest} more with --figures-all" * bool(rest))
             console.detail(f"drew {len(drawn)} figures in {folder}")
     if show_page and not is_interrupted:
         with _after(files[0], "show"):

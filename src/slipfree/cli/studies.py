@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slipfree.cli import console
-from slipfree.cli.outputs import check_outputs, save
+from slipfree.cli.outputs import check_outputs, draw_figures, save
 from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import TableColumn, table
@@ -54,12 +54,14 @@ def compare(
             values = {name: each["max"] for name, each in motion.items() if name != "stop"}
             axle, stop = "{min:.3f} to {max:.3f}".format_map(motion["axle"]), motion["stop"]
             stopped = "stopped at {time:.3g} s by {name}".format_map(stop) if stop else ""
-            rank = f"{row['rank']}/{row['conditions']}"
-            own = {"name": row["name"], "rank": rank, "axle": axle, "stop": stopped}
-            shown.append(values | own)
+            rolls = "yes" if row["rank"] == row["conditions"] else "no"
+            shown.append(
+                {**values, "axle": axle, "stop": stopped, "name": row["name"], "rolls": rolls}
+            )
         console.print_line("\n".join(table(COMPARED, shown)))
     console.print_line(
-        "\n* largest friction coefficient that a wheel requires; forces load-weighted"
+        "\n* whether the vehicle can roll without slip at suitable rates\n** largest friction "
+        "coefficient that a wheel requires, with tangential forces in proportion to the loads"
     )
     kept = f"the table contains {len(rows)} of {len(problem.spec.vehicles)} vehicles"
     _exit(kept, is_interrupted=is_interrupted)
@@ -67,12 +69,11 @@ def compare(
 
 COMPARED = (
     TableColumn("", "name"),
-    TableColumn("rank", "rank"),
+    TableColumn("rolls*", "rolls"),
     TableColumn("along", "slip_along", ".2f", "mm/s"),
     TableColumn("across", "slip_across", ".2f", "mm/s"),
-    TableColumn("from the poses", "slip_measured", ".1e", "mm/s"),
-    TableColumn("friction*", "friction_needed", ".3f"),
-    TableColumn("tilt [rad]", "tilt", ".3f"),
+    TableColumn("friction**", "friction_needed", ".3f"),
+    TableColumn("tilt [deg]", "tilt", ".2f", "deg"),
     TableColumn("axle [m]", "axle"),
     TableColumn("", "stop"),
 )
@@ -215,6 +216,7 @@ def track(
         with regular_file(file, "a result file of slipfree"):
             picture = out.with_suffix(".png") if out is not None and draw else None
             check_outputs([out, picture], result_files(file))
+            check_outputs([out], endings=(".nc",))
         with console.studying("motions") as watch:
             test = plan_tracking.follow_plan(
                 file,
@@ -313,7 +315,7 @@ def sweep(
         Print the runs and the estimated time, without running them.
     """
     from slipfree.problem.inputs import files_read
-    from slipfree.show.study_figures import save_sweep_figures
+    from slipfree.show.study_figures import sweep_plots
     from slipfree.sweep import (
         FAILED,
         LOST,
@@ -380,10 +382,7 @@ def sweep(
                 f"no figures: {len(plan.axes)} keys are varied, and figures show at most {MAX_KEYS}"
             )
         elif plan.count > 1:
-            paths = save_sweep_figures(drawn_grids(rows, tables, names), folder / FIGURES)
-            for path in paths:
-                console.add_json_file(path)
-            console.print_line(f"drew {len(paths)} files in {folder / FIGURES}")
+            draw_figures(sweep_plots(drawn_grids(rows, tables, names)), folder / FIGURES)
     if rows.ended(FAILED, LOST):
         raise typer.Exit(console.STOPPED)
 

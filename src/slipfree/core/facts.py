@@ -18,6 +18,7 @@ SCALES = {
     **{"deg": 180 / pi, "%": 100.0, "ms": 1e3},
     **{"mm": 1e3, "mm/s": 1e3, "mm/m": 1e3, "mm2/s": 1e6},
 }
+ROUNDING = 1e-9  # smaller values in the units that people read are printed as zero
 MAX_LISTED = 5  # largest number of table rows in one line
 
 
@@ -34,6 +35,8 @@ class Fact(NamedTuple):
         """Return value and unit as text; ``.3g>mm`` converts to the unit behind the sign."""
         spec, _, shown = spec.partition(">")
         value = self.value * SCALES[shown] if shown else self.value
+        if shown and abs(value) < ROUNDING:
+            value = 0.0
         unit = shown or ("" if self.unit in ("", "1") else printed_unit(self.unit))
         return f"{value:{spec}} {unit}".rstrip()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from math import degrees
 from typing import Any
@@ -13,7 +13,7 @@ from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter, unifo
 from slipfree.atlas.atlas import Atlas, Band
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import Fact, Lines, lines, rows
-from slipfree.core.records import Mask
+from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import heading_column
 from slipfree.problem.build_ground import GroundMap
 from slipfree.problem.problem import Problem
@@ -109,11 +109,14 @@ def survey_lines(facts: dict[str, Fact]) -> Lines:
     return lines(SURVEY_ROWS, values | {"touching": f"{100 * TOUCHING:g} %"})
 
 
-def stand(problem: Problem[Any], grid: Grid) -> tuple[Mapping[str, float], Lines]:
+def stand(
+    problem: Problem[Any], grid: Grid, progress: Callable[[int, int], object]
+) -> tuple[Mapping[str, float], Lines]:
     """Return where the vehicle of a problem stands on its ground, and lines of the summary.
 
     On a coarse grid of places and headings it is the most level pose where the vehicle also stands
     around: x, y, heading in the frame of the problem, roll and pitch [m, rad]; empty without one.
+    ``progress`` is called with the number of poses so far, and of all.
     """
     _known(grid)  # a vehicle stands nowhere among holes
     spec, (few, many) = problem.spec, sorted(grid.z.shape)
@@ -122,8 +125,14 @@ def stand(problem: Problem[Any], grid: Grid) -> tuple[Mapping[str, float], Lines
     keys = {name: getattr(spec, name) for name in ("frame", "terrain", "vehicle")}
     setup = build_atlas(replace(problem, spec=AtlasKeys(verb="atlas", atlas=table, **keys)))
     x, y, heading = setup.x, setup.y, setup.heading
-    values = setup.bands(slice(0, x.size), slice(0, y.size))
-    bands = {k: Band(label, values[k]) for k, label in setup.labels().items()}
+    strips, count = list[dict[str, Array]](), heading.size * y.size
+    for k in range(x.size):
+        progress(k * count, x.size * count)
+        strips.append(setup.bands(slice(k, k + 1), slice(0, y.size)))
+    bands = {
+        name: Band(label, np.concatenate([each[name] for each in strips], axis=1))
+        for name, label in setup.labels().items()
+    }
     poses = Atlas(x, y, heading, bands, setup.poses().reasons)
     _, found = setup.site.summary_of(poses, slice(0, x.size), slice(0, y.size))
     allowed = found.codes == 0

@@ -368,7 +368,7 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
         law = "least" if any(wheel.rollers for wheel in vehicle.wheels) else "rolling"
         can_roll, rolls = "yes", f"it can roll without slip (slip = '{law}')"
     else:
-        can_roll = f"no: {balance} passive joints and free wheels"
+        can_roll = f"no: passive joints and free wheels: {balance}"
         rolls = "it moves with least slip (slip = 'least')"
     ground = ["height", "pitch", "roll", *(c.name for c in vehicle.of("suspension"))]
     listed_ground = ", ".join(ground if is_exact else [*ground, "depths of the wheels"])

@@ -151,7 +151,8 @@ def _worst_words(run: Trajectory) -> str:
     k, wheel = _worst(run)
     value = run["utilisation"][k, wheel]
     number = f"{value:.3g}" if np.isfinite(value) else "infinite"
-    return f"largest, {style.words(run.wheels[wheel])}: {number} at {run.t[k]:.4g} s"
+    words = f"largest {_quantity(run).partition(' $')[0]}: {number}"
+    return f"{words}, {style.words(run.wheels[wheel])} at {run.t[k]:.4g} s"
 
 
 def ground(grid: Grid, ax: Axes) -> Axes:
@@ -184,11 +185,12 @@ def ground_plot(grid: Grid, place: tuple[float, float] | None = None) -> Plot:
         how = {"cmap": style.RISK, "vmin": 0.0, "vmax": STEEP, **ground_drawing.extent(x, y)}
         drawn = right.imshow(slope.T, **how)  # without relief: its shadows look like steep ground
         ground_drawing.map_axes(x, y, right).set_ylabel("")
+        ground_drawing.hatch(grid, grid.holes, grid.domain, "", "0.4", right)
         style.side_bar(drawn, right, "slope [deg]", "max")
         if place is not None:
             for ax in (left, right):
                 ax.plot(*place, "o", mfc="white", mec="black", ms=5, label="start")
-        return style.finished(figure, None, [left])
+        return style.cropped(style.finished(figure, None, [left]), left)
 
     return Plot("ground", "Heights and slopes of the ground.", make)
 
@@ -343,9 +345,7 @@ def map_plot(drive: PlottedDrive) -> Plot:
             inset.set(xticks=[], yticks=[], xlabel="", ylabel="", facecolor=ground_drawing.RELIEF)
             size = window[1] - window[0], window[3] - window[2]
             inset.add_patch(Rectangle(window[::2], *size, fill=False, ec=STOPPED, lw=1.2))
-        style.finished(figure, run, [ax])
-        style.lay_out(figure)  # the first layout sees the colour bar of wider axes
-        return figure
+        return style.cropped(style.finished(figure, run, [ax]), ax)
 
     words = "Ground and path in plan view, with tracks in the colours of utilisation or slip."
     return Plot("map", words, make)

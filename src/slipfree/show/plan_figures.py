@@ -188,9 +188,7 @@ def plan_plots(
         if guess.size:
             ax.plot(*guess.T, color="0.35", lw=0.7, zorder=3, label="initial guess")
         motion(run, places, ax, areas)
-        style.finished(figure, run, [ax])
-        style.lay_out(figure)  # the first layout sees the colour bar of wider axes
-        return figure
+        return style.cropped(style.finished(figure, run, [ax]), ax)
 
     caption = "Planned inputs, and quantities with their limits."
     planned = Plot("plan", caption, lambda: stack(run, panels, note if missed else ""))

@@ -1,7 +1,7 @@
 """Figures of many runs: sweeps, fronts of slip against another cost, tests of a wheel, fits.
 
 Each drawing function of a sweep draws on the given axes, labels the artists for a legend, and
-returns the axes; the caller adds the legend. ``save_sweep_figures`` writes one figure per metric:
+returns the axes; the caller adds the legend. ``sweep_plots`` returns one figure per metric:
 the distribution over the runs without varied keys, a curve for one key, a heat map for two keys.
 """
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ from slipfree.fit.wheel_soil import QUANTITIES, SoilFit
 from slipfree.models.single_wheel import WheelCurves
 from slipfree.plan.pareto import FrontPoint
 from slipfree.show import style
-from slipfree.show.plots import Panel, Plot, Swept, Varied, save, stack
+from slipfree.show.plots import Panel, Plot, Swept, Varied, stack
 from slipfree.show.style import COLUMN, MM, PAGE, PALETTE, STOPPED
 
 COLOURS = "viridis"
@@ -129,9 +128,9 @@ def figure(swept: Swept) -> Figure:
     return made
 
 
-def save_sweep_figures(quantities: Sequence[Swept], folder: str | Path) -> list[Path]:
-    """Write one figure per metric to a folder, and return the paths of the files."""
-    return save([Plot(each.name, "", partial(figure, each)) for each in quantities], folder)
+def sweep_plots(quantities: Sequence[Swept]) -> list[Plot]:
+    """Return one figure per metric."""
+    return [Plot(each.name, "", partial(figure, each)) for each in quantities]
 
 
 def _over(reduce: Any, values: Array) -> Array:

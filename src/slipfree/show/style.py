@@ -61,6 +61,16 @@ def lay_out(figure: Figure) -> None:
         engine.execute(figure)
 
 
+def cropped(figure: Figure, ax: Axes) -> Figure:
+    """Lay out the figure of a map, and remove the height that its equal scales leave free."""
+    for _ in range(2):  # the first layout sees the colour bar of wider axes
+        lay_out(figure)
+        ax.apply_aspect()
+        free = ax.get_position(original=True).height - ax.get_position().height
+        figure.set_figheight((1 - free) * figure.get_figheight())
+    return figure
+
+
 def finished(
     figure: Figure, run: Trajectory | None, legends: Sequence[Axes], note: str = ""
 ) -> Figure:

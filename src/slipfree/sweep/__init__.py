@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.core.errors import DataError, SlipfreeError, shortened
-from slipfree.core.facts import Fact, Lines, numbers
+from slipfree.core.facts import Fact, Lines, numbers, printed_unit
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.core.version import __version__
@@ -539,7 +539,7 @@ def sweep_facts(
         facts.append(("within limits", words))
     # mean and range of each metric, over all runs and for every value of every key
     for swept in (tables[name] for name in figures):
-        unit = "" if swept.unit in ("1", "") else f" {swept.unit}"
+        unit = "" if swept.unit in ("1", "") else f" {printed_unit(swept.unit)}"
         facts.append((swept.name, _spread(swept.values, unit)))
         for k, axis in enumerate(swept.axes):
             parts = np.moveaxis(swept.values, k, 0)

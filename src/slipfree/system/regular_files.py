@@ -72,12 +72,12 @@ def check_name(path: Path) -> None:
         ) from error
 
 
-def check_ending(path: Path, endings: Collection[str]) -> None:
+def check_ending(path: Path, endings: Collection[str], remedy: str = "choose another name") -> None:
     """Raise DataError unless the name of a file to write has one of the endings."""
     if path.suffix.lower() not in endings:
         raise DataError(
             f"{path}: expected a name that ends in {' or '.join(endings)}, found "
-            f"{repr(path.suffix) if path.suffix else 'no ending'}; choose another name"
+            f"{repr(path.suffix) if path.suffix else 'no ending'}; {remedy}"
         )
 
 
