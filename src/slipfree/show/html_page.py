@@ -57,7 +57,7 @@ def with_legend(
             f"{escape(entry.label)}{stop}</span></label>"
         )
     warned = "".join(f'<p class="warning">{escape(each)}</p>' for each in scene.warnings)
-    notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, *words, SAVED_KEYS))
+    notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, SAVED_KEYS))
     grounds = {
         layer.name: (layer, [f"{WORLD}/ground {layer.name}"]) for layer in scene.ground.layers
     }
@@ -71,6 +71,7 @@ def with_legend(
     overview = f'<button data-size="{size:.4g}">overview</button>' if scene.is_far else ""
     box = (
         f'<style>{page_file("viewer.css")}</style><div id="slipfree"><b>{escape(title)}</b>'
+        f"<div>{escape(' '.join(words))}</div>"
         f"{_choice('ground', grounds, color)}{_choice('tracks', tracks, colored)}"
         f"{overview}{switches}{warned}<details><summary>notes</summary>{notes}</details></div>"
         f'<div id="plots">{_plots(scene)}</div>'
@@ -111,7 +112,7 @@ def _plots(scene: Scene) -> str:
         now, drawn, size = "", "", 0
         for name, color, _, values in scene.curves(each):
             names[name], size = color, values.size
-            shown = np.clip(np.nan_to_num(values, nan=low), low, high)
+            shown = np.clip(np.nan_to_num(values, nan=low), low, high).round(9)
             points = " ".join(f"{k},{value:.4g}" for k, value in enumerate(shown))
             now += f' <b style="color:{color}"></b>'
             drawn += f'<polyline stroke="{color}" points="{points}"/>'
@@ -125,7 +126,8 @@ def _plots(scene: Scene) -> str:
         return ""
     first, last = scene.span
     lines = " ".join(f'<b style="color:{color}">{escape(n)}</b>' for n, color in names.items())
-    return f"{lines}{plots}<div><span>{first:g} s</span><span>{last:g} s</span></div>"
+    ends = f"<span>{first:g} s</span><b></b><span>{last:g} s</span>"
+    return f'{lines}{plots}<div data-first="{first}" data-last="{last}">{ends}</div>'
 
 
 def _css(color: Color) -> str:

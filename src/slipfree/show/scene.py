@@ -59,10 +59,12 @@ FAR = 20.0  # the camera follows vehicles on longer paths [reach of the vehicle]
 WORLD = "/world"  # node with the scene; it moves when the camera follows a vehicle
 Color = tuple[int, int, int]
 Colors = npt.NDArray[np.uint8]
+POST = 1.6  # height of the posts at places of a plan, above the names of vehicles [reach]
 LIFT = 0.01  # height of lines above the ground, so that it does not hide them [reach]
 CONTOURS, CELLS = 12, 8  # maximum number of contours, and of grid cells along the longer side
 STEPS = (1, 2, 5, 10)  # round numbers, times a power of ten
 SAMPLES = 240  # samples of a grid line
+BESIDE = 0.03  # distance of its label from the ground [longer side of the drawn ground]
 ARROW = 0.09  # length of the arrow to the north [longer side of the drawn ground]
 PLAN_LINES = "keep-out", "places"  # lines that pictures have as well
 GRAY, BROWN, RED = (70, 70, 70), (60, 40, 20), (190, 30, 30)
@@ -425,8 +427,9 @@ def _grid_and_north(drawn: Grid, terrain: Terrain, window: Window) -> Iterable[L
     along_x, along_y = np.linspace(west, east, SAMPLES), np.linspace(south, north, SAMPLES)
     lines = [*(draped(np.array(x), along_y) for x in columns)]
     lines += [draped(along_x, np.array(y)) for y in rows]
-    labels = [(f"x {x + 0.0:.10g} m", draped(np.array(x), np.array(south))) for x in columns]
-    labels += [(f"y {y + 0.0:.10g} m", draped(np.array(west), np.array(y))) for y in rows]
+    below, left = np.array([0.0, -BESIDE * long, 0.0]), np.array([-BESIDE * long, 0.0, 0.0])
+    labels = [(f"x {x + 0.0:.10g} m", draped(x, np.array(south)) + below) for x in columns]
+    labels += [(f"y {y + 0.0:.10g} m", draped(np.array(west), y) + left) for y in rows]
     segments = np.concatenate([np.zeros((0, 2, 3)), *map(_segments, lines)])
     shown = tuple((words, place) for words, place in labels if np.isfinite(place).all())
     yield Lines("grid", f"every {step:g} m", GRAY, segments, shown)
@@ -569,7 +572,7 @@ def _plan_lines(first: Driven, window: Window, origin: Array, reach: float) -> I
         yield Lines(PLAN_LINES[0], "regions of the plan", RED, np.concatenate(borders))
     if first.places:
         names, points = [place[0] for place in first.places], [place[1:] for place in first.places]
-        posts, labels = _posts(draped(np.array(points)), reach, names)
+        posts, labels = _posts(draped(np.array(points)), POST * reach, names)
         yield Lines(PLAN_LINES[1], "of the plan", PLACE_COLOR, posts, labels)
 
 

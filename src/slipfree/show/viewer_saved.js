@@ -41,8 +41,11 @@
     const now = playback();
     now?.onChange(event.offsetX / plot.clientWidth * now.max * 0.9999);
   });
-  function follow(before) {  // cursors and values of the plots
+  const clock = document.querySelector("#plots > div:last-child b");
+  function follow(before) {  // clock, cursors and values of the plots
     const t = time(), max = t !== before && playback()?.max;
+    const {first, last} = clock.parentElement.dataset;
+    if (max) clock.textContent = `${(+first + (last - first) * t / max).toFixed(2)} s`;
     if (max) for (const plot of plots) {
       const lines = plot.querySelectorAll("polyline"), count = lines[0].points.length;
       const k = Math.min(Math.floor(t / max * count), count - 1);

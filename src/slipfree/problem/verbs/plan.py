@@ -218,7 +218,11 @@ def _simulated_words(facts: Facts, *, is_solved: bool) -> str:
     gaps = starting_with(DIFFERENCE, facts)
     if not gaps:
         return "not yet; the motion is that of the plan"
-    listed = ", ".join(f"{name} {gap:.1e}" for name, gap in gaps.items())
+
+    def read(fact: Fact) -> str:
+        return format(fact, {"m": ".2g>mm", "rad": ".2g>deg"}.get(fact.unit, ".2g"))
+
+    listed = ", ".join(f"{name} {read(gap)}" for name, gap in gaps.items())
     words = f"differs from the {'plan' if is_solved else 'iterate'} by at most {listed}"
     if not is_solved:  # the outcome names the violations
         return words
