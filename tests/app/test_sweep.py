@@ -26,7 +26,7 @@ from helpers.sweep_cases import (
     table_rows,
     tasks_of,
 )
-from slipfree.core.errors import DataError, ModelError, SlipfreeError
+from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.files import netcdf
 from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import load_problem
@@ -554,10 +554,3 @@ def test_a_heat_map():
     assert [label.get_text() for label in ax.get_xticklabels()] == ["0.5", "1.0", "2.0"]
     assert sorted(words.get_text() for words in ax.texts) == ["0", "1", "2", "5", "7"]
     assert ax.figure.axes[1].get_ylabel() == "slip_rms, mean [m/s]"
-
-
-def test_figures_that_cannot_be_drawn():
-    with pytest.raises(ModelError, match="at most two varied keys"):
-        show.figure(_swept([SPEEDS, AXLES, AXLES], np.ones((3, 2, 2, 1))))
-    with pytest.raises(ModelError, match="a value in at least one run"):
-        show.figure(_swept([AXLES], [[np.nan], [np.nan]]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,8 +16,10 @@ from slipfree.cli.console import Draw, Processes, Scheduler, Settings, Trust, ou
 from slipfree.core.errors import DataError
 
 if TYPE_CHECKING:
+    from slipfree.core.facts import Lines
     from slipfree.problem.build_ground import GroundMap
     from slipfree.problem.problem import Problem
+    from slipfree.terrain.base import Grid
 
 UNBOUNDED = "1e99"  # bound that no quantity reaches
 ANY_VEHICLE = "three_wheeler"  # of a problem of which only the map is read
@@ -197,6 +199,14 @@ def ground_of(
     console.print_line(f"the map is in degrees; it is converted to metres by --set {key}")
     problem = problem_of_map(file, vehicle or ANY_VEHICLE, [key, *settings], trust)
     return problem, build_ground(problem)
+
+
+def start_on(problem: Problem[Any], grid: Grid) -> tuple[Mapping[str, float], Lines]:
+    """Return a start at which a vehicle stands, see `stand`, and show the progress."""
+    from slipfree.problem.ground_survey import stand
+
+    with as_arguments(), console.counted("poses tried for a start") as progress:
+        return stand(problem, grid, progress)
 
 
 @contextmanager

@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 
 from slipfree.cli import console, outputs
-from slipfree.cli.atlas import as_arguments, ground_of
+from slipfree.cli.atlas import as_arguments, ground_of, start_on
 from slipfree.cli.console import BAD_INPUT, Draw, File, Force, ResultFile, Settings, Trust
-from slipfree.cli.new import POSES, write_new_file
+from slipfree.cli.new import write_new_file
 from slipfree.core.errors import DataError
 from slipfree.core.facts import TableColumn, table
 
@@ -60,7 +60,7 @@ def ground(
         start at which it stands.
     """
     from slipfree.problem.build_ground import ground_facts
-    from slipfree.problem.ground_survey import stand, survey, survey_lines
+    from slipfree.problem.ground_survey import survey, survey_lines
     from slipfree.problem.inputs import files_read
 
     with as_arguments():
@@ -72,8 +72,7 @@ def ground(
     pose: Mapping[str, float] = {}
     try:
         if vehicle is not None or file.suffix.lower() == ".toml":
-            with as_arguments(), console.counted(POSES) as progress:
-                pose, standing = stand(problem, ground.grid, progress)
+            pose, standing = start_on(problem, ground.grid)
             lines += standing
             console.add_json("start", lambda: pose)
     finally:  # also if the vehicle has errors

@@ -15,16 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tomlkit
 import typer
 
-from slipfree.cli.atlas import as_arguments, ground_of
-from slipfree.cli.console import (
-    Force,
-    Settings,
-    Trust,
-    add_json,
-    add_json_file,
-    counted,
-    print_line,
-)
+from slipfree.cli.atlas import as_arguments, ground_of, start_on
+from slipfree.cli.console import Force, Settings, Trust, add_json, add_json_file, print_line
 from slipfree.cli.outputs import check_outputs
 from slipfree.core.errors import DataError, similar
 from slipfree.system.regular_files import check_name, make_folder, replace_file
@@ -38,7 +30,6 @@ HOLE = "FILE"  # placeholder of the file name in the comments of a template
 SHIPPED = "problems"  # in the package
 OWN = ("terrain", "vehicle")  # tables with the user's files
 FRICTION = 0.6  # assumed coefficient
-POSES = "poses tried for a start"  # in lines of progress
 AHEAD = 6.0  # distance of the goal [reach of the vehicle]
 TABLES = {  # comments
     "terrain": "see docs/elevation.md; the coefficient of friction is an assumption",
@@ -94,7 +85,6 @@ def new(
                 "add the other one"
             )
         from slipfree.problem.build_vehicle import build_vehicle
-        from slipfree.problem.ground_survey import stand
         from slipfree.routing.traversability import extents
 
         for each in settings or []:
@@ -103,9 +93,9 @@ def new(
                     f"--set: expected a key of {' or '.join(f'[{name}]' for name in OWN)}, found "
                     f"{each!r}; change other keys in the written file"
                 )
-        with as_arguments(), counted(POSES) as progress:
+        with as_arguments():
             problem, surface = ground_of(ground, vehicle, settings or [], trust)
-            pose, ((_, words), *_) = stand(problem, surface.grid, progress)
+        pose, ((_, words), *_) = start_on(problem, surface.grid)
         if not pose:
             raise DataError(
                 f"{ground}: expected a place where the vehicle stands, found that it stands "

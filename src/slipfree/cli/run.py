@@ -140,7 +140,6 @@ def run(
             drawn = plots if figures_all else plots[:MAIN_COUNT]
             rest = len(plots) - len(drawn)
             outputs.draw_figures(drawn, folder, f"; {rest} more with --figures-all" * bool(rest))
-            console.detail(f"drew {len(drawn)} figures in {folder}")
     if show_page and not is_interrupted:
         with _after(files[0], "show"):
             show_results([files[0]])

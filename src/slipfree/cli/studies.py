@@ -61,7 +61,7 @@ def compare(
         console.print_line("\n".join(table(COMPARED, shown)))
     console.print_line(
         "\n* whether the vehicle can roll without slip at suitable rates\n** largest friction "
-        "coefficient that a wheel requires, with tangential forces in proportion to the loads"
+        "coefficient that a wheel requires; forces load-weighted"
     )
     kept = f"the table contains {len(rows)} of {len(problem.spec.vehicles)} vehicles"
     _exit(kept, is_interrupted=is_interrupted)
@@ -240,8 +240,6 @@ def track(
         rows = plan_tracking.tracking_rows(test)
         console.print_line("\n".join(plan_tracking.tracking_lines(rows)))
         console.add_json("motions", lambda: rows)
-        if out is not None and results:
-            console.print_line(f"wrote {out}")
         if picture is not None and results and not is_interrupted:
             from slipfree.problem.verbs.plan import PlanVerb
             from slipfree.show.plan_figures import tracking_plot
@@ -251,7 +249,8 @@ def track(
             marks = PlanVerb().marks(problem, setup.terrain.domain)
             plot = tracking_plot(picture.stem, test.plan, named, setup.ground.grid, marks)
             draw_plots([plot], picture.parent)
-            console.print_line(f"wrote {picture}")
+        for words in console.written():
+            console.print_line(words)
         code = max((result.outcome.exit_code for _, result in results), default=0)
         _exit(*console.written(), GO_ON, is_interrupted=is_interrupted, code=code)
 

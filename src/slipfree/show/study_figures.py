@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.stats import chi2
 
-from slipfree.core.errors import ModelError
 from slipfree.core.facts import printed_unit
 from slipfree.core.records import Array
 from slipfree.fit.drive_fit import Score, WindowKind, by_logs, rms
@@ -28,13 +27,14 @@ from slipfree.models.single_wheel import WheelCurves
 from slipfree.plan.pareto import FrontPoint
 from slipfree.show import style
 from slipfree.show.plots import Panel, Plot, Swept, Varied, stack
-from slipfree.show.style import COLUMN, MM, PAGE, PALETTE, STOPPED
+from slipfree.show.style import MM, PAGE, PALETTE, STOPPED
 
 COLOURS = "viridis"
 NOTHING = "0.85"  # colour of cells without a run
 MOST_WORDS = 8  # maximum number of cells per side with numbers
 ROOM = 7  # maximum number of horizontal texts at an axis
 WIDE = 30.0  # smallest ratio of values drawn on a logarithmic axis
+SWEPT_HEIGHT = 61.0  # of a panel [mm]
 TANGENT = 0.06  # length of a tangent on each side [second objective]
 FAILED_HEIGHT = 0.03  # height of the marks of unsolved points [axes]
 PANELS = (
@@ -70,8 +70,10 @@ def curve(swept: Swept, ax: Axes) -> Axes:
     x, values = x[order], values[order]
     mean, low, high = (_over(f, values) for f in (np.nanmean, np.nanmin, np.nanmax))
     line = "-" if varied.numbers else "none"
-    ax.plot(x, mean, "o", ls=line, ms=4, color=PALETTE[0], label="mean", zorder=3)
-    if values.shape[1] > 1:
+    is_repeated = values.shape[1] > 1
+    label = "mean" if is_repeated else None
+    ax.plot(x, mean, "o", ls=line, ms=4, color=PALETTE[0], label=label, zorder=3)
+    if is_repeated:
         look: dict[str, Any] = {"color": PALETTE[0], "alpha": 0.3, "label": "range"}
         if varied.numbers:
             ax.fill_between(x, low, high, lw=0, **look)
@@ -108,29 +110,14 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
     return ax
 
 
-def figure(swept: Swept) -> Figure:
-    """Return the figure of a metric over at most two varied keys."""
-    if not np.isfinite(swept.values).any():
-        raise ModelError(
-            f"{swept.name}: expected a value in at least one run, found none; choose another metric"
-        )
-    draw = {0: distribution, 1: curve, 2: heat_map}.get(len(swept.axes))
-    if draw is None:
-        raise ModelError(
-            f"{swept.name}: expected at most two varied keys in a figure, found {len(swept.axes)}: "
-            f"{', '.join(axis.name for axis in swept.axes)}; draw a sweep of fewer keys"
-        )
-    made = style.figure(COLUMN, 85 * MM)
-    ax = draw(swept, made.subplots())
-    handles, labels = ax.get_legend_handles_labels()
-    if handles:
-        made.legend(handles, labels, loc="outside upper center", ncols=len(handles))
-    return made
-
-
 def sweep_plots(quantities: Sequence[Swept]) -> list[Plot]:
-    """Return one figure per metric."""
-    return [Plot(each.name, "", partial(figure, each)) for each in quantities]
+    """Return the figures of metrics over at most two varied keys."""
+    draw = distribution, curve, heat_map  # by the number of keys
+    panels = (Panel(partial(draw[len(each.axes)], each), SWEPT_HEIGHT) for each in quantities)
+    return [
+        Plot(each.name, "", partial(stack, None, [panel]))
+        for each, panel in zip(quantities, panels, strict=True)
+    ]
 
 
 def _over(reduce: Any, values: Array) -> Array:
