@@ -11,8 +11,9 @@ import casadi as ca
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgba
+from matplotlib.colors import to_rgb, to_rgba
 from matplotlib.figure import Figure
 
 import slipfree as sf
@@ -23,6 +24,7 @@ from slipfree.core.trajectory import Column, Trajectory, path_length
 from slipfree.geometry.regions import Region
 from slipfree.routing.traversability import blocked_by, free_space, traversability
 from slipfree.show import motion_figures, plan_figures, plots, style
+from slipfree.show.motion_figures import ground_plot
 from slipfree.terrain.synthetic import blank, craters
 
 DOMAIN = (-5.0, 5.0, -4.0, 4.0)
@@ -273,17 +275,23 @@ def test_written_figures_leave_the_memory(tmp_path):
 
 
 @pytest.mark.slow
-def test_filled_holes_are_hatched_on_the_map(run, grid):
-    assert "filled holes" not in words(figures(run, grid, "map")["map"])
-    filled = np.zeros(grid.z.shape, dtype=bool)
-    filled[30:33, 20:28] = True
-    figure = drawn(figures(run, replace(grid, filled=filled), "map")["map"])
-    assert words(figure).count("filled holes") == 1
-    hatched = [c for ax in figure.axes for c in ax.collections if getattr(c, "hatches", [None])[0]]
-    assert hatched
-    low, high = hatched[0].get_datalim(hatched[0].axes.transData).get_points()
-    assert low == pytest.approx([grid.x[29], grid.y[19]], abs=0.02)
-    assert high == pytest.approx([grid.x[33], grid.y[28]], abs=0.02)
+@pytest.mark.parametrize(("kind", "color"), [("filled", motion_figures.FILLED), ("holes", "0.4")])
+def test_holes_are_hatched_in_pixels_and_nothing_is_cut(run, grid, kind, color):
+    nodes = np.zeros(grid.z.shape, dtype=bool)
+    nodes[34:40, 28:34] = True
+    ragged = replace(grid, **{kind: nodes})
+    drawings = [*figures(run, ragged, "map").values(), *plots.draw([ground_plot(ragged)]).values()]
+    for figure in drawings:
+        canvas, figure.dpi = FigureCanvasAgg(figure), style.DPI
+        canvas.draw()
+        pixels = np.asarray(canvas.buffer_rgba())[::-1, :, :3].astype(int)
+        edges = pixels[[0, -1]], pixels[:, [0, -1]]
+        assert all((edge == 255).all() for edge in edges)
+        for ax in figure.axes if kind == "holes" else figure.axes[:1]:
+            ends = grid.x[[35, 38]], grid.y[[29, 32]]
+            (left, low), (right, high) = ax.transData.transform(np.transpose(ends)).astype(int)
+            away = np.abs(pixels[low:high, left:right] - 255 * np.array(to_rgb(color)))
+            assert 0.03 < (away.max(axis=2) < 60).mean() < 0.7, ax.get_ylabel()
 
 
 @pytest.mark.slow

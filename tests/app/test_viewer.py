@@ -22,6 +22,8 @@ from helpers.chromium import headless_chromium
 from helpers.commands import invoke, refused, sets, shown
 from helpers.problem_files import rough_ground
 from slipfree.show.viewer import stop
+from slipfree.terrain.base import Grid
+from slipfree.terrain.bicubic import Bicubic
 
 PATIENCE = 240.0  # for one picture, where many tests share few processors [s]
 SIZE = (1000, 480)
@@ -74,6 +76,11 @@ def patiently(ask: Callable[[], Any]) -> Any:
 
 def picture(driver: Any) -> np.ndarray:
     """Return the scene as it is when it no longer changes, without what lies on top of it."""
+    return part(still(driver))
+
+
+def still(driver: Any) -> np.ndarray:
+    """Return the whole page when it no longer changes."""
 
     def shot() -> Image.Image:
         return Image.open(io.BytesIO(patiently(driver.get_screenshot_as_png))).convert("RGB")
@@ -83,7 +90,7 @@ def picture(driver: Any) -> np.ndarray:
         time.sleep(0.3)
         after = np.asarray(shot())
         if np.array_equal(before, after) and colors(part(after)) > 60:
-            return part(after)
+            return after
         before = after
     raise AssertionError("the scene does not come to rest")
 
@@ -258,6 +265,41 @@ def test_a_saved_page_plays_from_disk(files: list[Path], browser: Any, tmp_path:
     kinds = {each.split(":")[0] for each in asked(browser)}
     assert kinds <= {"file", "data", "blob"}
     assert complaints(browser) == []
+
+
+@pytest.mark.slow
+def test_a_hill_on_a_page_is_bright_in_the_north_west_and_nothing_is_cut(
+    files: list[Path], browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Seen from above; its flanks have the same heights, and therefore the same colours."""
+    from slipfree.show import viewer
+    from slipfree.show.scene import drive_scene
+
+    monkeypatch.setattr(viewer, "VIEW", np.array([0.0, -0.01, 1.0]))
+    drive = shown(files[0], "a")
+    x, y = drive.terrain.grid.x, drive.terrain.grid.y
+    hill = Bicubic(Grid(x, y, np.exp(-(x[:, None] ** 2 + (y + 1) ** 2) / 8)))
+    scene = drive_scene([drive._replace(terrain=hill)])._replace(reach=2.0)
+    out = tmp_path / "hill.html"
+    out.write_text(viewer.page(scene, "hill", "height"), encoding="utf-8")
+    browser.get("about:blank")
+    browser.get(out.as_uri())
+    faded_in(browser)
+    boxes = """return [...document.querySelectorAll("#slipfree, #plots")].map(each => {
+        const box = each.getBoundingClientRect();
+        return [box.left, box.top, innerWidth - box.right, innerHeight - box.bottom]})"""
+    assert np.min(browser.execute_script(boxes)) >= 0
+    hide = """document.querySelectorAll("#slipfree input").forEach(each => each.click());
+        const box = document.querySelector("canvas").getBoundingClientRect();
+        return [box.left + box.width / 2, box.top + box.height / 2]"""
+    column, row = map(round, browser.execute_script(hide))
+    light = still(browser).astype(float).mean(axis=2)
+    flanks = ((-1, -1), (-1, 1), (1, 1))  # north-west, south-west, south-east
+    north_west, south_west, south_east = (
+        light[row + 40 * down - 4 :, column + 40 * right - 4 :][:9, :9].mean()
+        for right, down in flanks
+    )
+    assert north_west > 1.1 * south_west > 1.2 * south_east
 
 
 def test_a_quiet_page_says_where_it_is(files: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,6 +32,7 @@ CONTACT_SIZE = 0.05  # [reach of the vehicle]
 ARROW = {"shaft_radius": 0.014, "head_radius": 0.035, "head_length": 0.08}  # [reach]
 WHITE = (255, 255, 255)  # of contact points, and around tracks
 TRACK, CASING = 0.08, 0.13  # widths of tracks, and of their white edge [reach]
+VIEW = np.array([0.75, -0.75, 0.65])  # direction to the camera, times its distance
 SKY = 0.5  # ambient light, in addition to viser's two lamps
 FAR = 1000.0  # far plane of the camera, unless the ground is larger [m]
 CLOSE, NEAREST = 3.5, 0.05  # distance of the following camera, and near plane [reach]
@@ -155,7 +156,7 @@ def _add_world(server: viser.ViserServer, scene: Scene, color: str) -> Any:
         middle, away = scene.actors[0].bodies[0].origins[0], CLOSE * scene.reach
     camera = server.initial_camera
     camera.look_at = middle
-    camera.position = middle + away * np.array([0.75, -0.75, 0.65])
+    camera.position = middle + away * VIEW
     size = float(np.linalg.norm(np.ptp(scene.ground.mesh.vertices, axis=0)))
     camera.near, camera.far = NEAREST * scene.reach, max(FAR, 10 * size)
     return world
