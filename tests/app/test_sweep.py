@@ -5,8 +5,10 @@ import os
 import socket
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -36,10 +38,10 @@ from slipfree.sweep import (
     Rows,
     RunRow,
     RunTask,
-    _spreads,
     axis_of,
     drawn_grids,
     grids,
+    sweep_facts,
     sweep_of,
     work,
 )
@@ -528,7 +530,14 @@ def _swept(axes: Sequence[Varied], values: Any) -> Swept:
 
 def test_one_run_has_no_range_and_values_have_six_digits():
     thirds = Varied("driver.speed", ("0.0866666666667", "0.2"), "m/s")
-    _, first, second = _spreads(_swept([thirds], [[1.0, np.nan], [2.0, 3.0]]))
+
+    class NoRows(list[RunRow]):
+        outcomes, ended = Counter[str](), staticmethod(lambda _: [])
+        read = staticmethod(list)
+
+    swept = _swept([thirds], [[1.0, np.nan], [2.0, 3.0]])
+    plan: Any = SimpleNamespace(count=3, seeds={})
+    _, _, first, second = sweep_facts(plan, NoRows(), {"slip_rms": swept}, ["slip_rms"])
     assert first == ("  driver.speed = 0.0866667", "1 m/s (1 run)")
     assert second == ("  driver.speed = 0.2", "mean 2.5, 2 to 3 m/s (2 runs)")
 
