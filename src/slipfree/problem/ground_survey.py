@@ -126,9 +126,9 @@ def stand(
     setup = build_atlas(replace(problem, spec=AtlasKeys(verb="atlas", atlas=table, **keys)))
     x, y, heading = setup.x, setup.y, setup.heading
     strips, count = list[dict[str, Array]](), heading.size * y.size
-    for k in range(x.size):
-        progress(k * count, x.size * count)
-        strips.append(setup.bands(slice(k, k + 1), slice(0, y.size)))
+    for column in range(x.size):
+        progress(column * count, x.size * count)
+        strips.append(setup.bands(slice(column, column + 1), slice(0, y.size)))
     bands = {
         name: Band(label, np.concatenate([each[name] for each in strips], axis=1))
         for name, label in setup.labels().items()
