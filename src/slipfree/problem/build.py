@@ -17,7 +17,7 @@ from slipfree.control.step_climbing import StepClimbing, check_period, climbing,
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Lines
-from slipfree.core.records import Array, leaves
+from slipfree.core.records import Array
 from slipfree.core.trajectory import Column, Trajectory, heading_column
 from slipfree.files.maps.reference_systems import semi_major_axis
 from slipfree.files.tables import read_columns
@@ -151,7 +151,7 @@ def check_names(
     """
     faults = [*name_errors(("start",), problem.spec.start, _start_names(dae))]
     if inputs is not None:
-        known = _names((driven or dae).labels.u)
+        known = (driven or dae).input_names
         faults += name_errors(("inputs",), inputs, known)
         faults += [
             Fault(("inputs", name), "a rate", "none") for name in known if name not in inputs
@@ -160,13 +160,8 @@ def check_names(
 
 
 def _start_names(dae: Dae) -> list[str]:
-    if dae.standing is None:
-        return _names(dae.labels.x)
-    return [*_names(dae.standing.model.labels.x), SPEED]
-
-
-def _names(labels: Iterable[Any]) -> list[str]:
-    return [label.full for label in leaves(labels)]
+    standing = dae.standing
+    return dae.state_names if standing is None else [*standing.model.state_names, SPEED]
 
 
 def vehicle_facts(vehicle: Vehicle, crs: str) -> Lines:

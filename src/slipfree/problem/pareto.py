@@ -209,7 +209,13 @@ def plan_front(
         durations = (low, high) if low < high else (SHORTEST * high, high)
         least = best = FrontPoint(np.nan)
         try:
-            least = one(f"least {against}", _least_settings(problem, against, durations), given)
+            name = TIME if against == DURATION else against
+            own = [f"{_key('costs', against)}={problem.spec.costs.get(against) or 1.0!r}"]
+            if against == DURATION:
+                own = [f"costs.{TIME}=1.0", f"plan.duration=[{durations[0]!r}, {durations[1]!r}]"]
+            # smoothness would increase the second objective
+            of_least = (*_without(problem, name), *own, "plan.smooth=0.0")
+            least = one(f"least {against}", of_least, given)
             keep(0, least)
             slip = _slip_settings(problem, against, durations[1] if against == DURATION else None)
             best = one("least slip", slip, given)
@@ -258,19 +264,6 @@ def _key(table: str, name: str) -> str:
 def _without(problem: Problem[PlanKeys], *kept: str) -> SettingTexts:
     """Return the settings that remove all costs except those named in ``kept``."""
     return tuple(f"{_key('costs', name)}=" for name in problem.spec.costs if name not in kept)
-
-
-def _least_settings(
-    problem: Problem[PlanKeys], against: str, durations: tuple[float, float]
-) -> SettingTexts:
-    # Smoothness would increase the second objective.
-    smooth = "plan.smooth=0.0"
-    if against == DURATION:
-        low, high = durations
-        spans = f"plan.duration=[{low!r}, {high!r}]"
-        return (*_without(problem, TIME), f"costs.{TIME}=1.0", spans, smooth)
-    weight = problem.spec.costs.get(against) or 1.0
-    return (*_without(problem, against), f"{_key('costs', against)}={weight!r}", smooth)
 
 
 def _slip_settings(problem: Problem[PlanKeys], against: str, bound: float | None) -> SettingTexts:

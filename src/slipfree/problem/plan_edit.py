@@ -144,8 +144,10 @@ def edited_text(text: str, old: Places, new: Places) -> str:
     # Parts of a TOML text that begin with a table's header; each is TOML by itself.
     sections = [""]
     for line in LINE.findall(text):
-        if HEADER.match(line) and _is_toml(sections[-1]):  # else a line of an array or a string
-            sections.append("")
+        if HEADER.match(line):
+            with suppress(tomllib.TOMLDecodeError):  # a line of an array or a string
+                tomllib.loads(sections[-1])
+                sections.append("")
         sections[-1] += line
     if old.start != new.start:
         with _edited(sections, "start") as start:
@@ -169,14 +171,6 @@ def in_order_of_file(
     wanted, former = {each.identity: each for each in new}, {each.identity for each in old}
     kept = [wanted[each.identity] for each in old if each.identity in wanted]
     return (*kept, *(each for each in new if each.identity not in former))
-
-
-def _is_toml(text: str) -> bool:
-    try:
-        tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        return False
-    return True
 
 
 @contextmanager
@@ -336,11 +330,6 @@ def read_document(path: Path, trusted: frozenset[str] = frozenset()) -> Document
             "no places to edit, found obstacles; use slipfree run"
         )
     return Document(path, raw, problem, places_in(problem))
-
-
-def is_current(document: Document) -> bool:
-    """Return whether the file still has the contents of the document, or is missing."""
-    return not os.path.lexists(document.path) or read_raw(document.path) == document.raw
 
 
 def saved(document: Document, places: Places) -> Document:
@@ -684,7 +673,8 @@ class Desk:
     def _read_again(self) -> None:
         session, document = self.session, self.session.document
         try:
-            if not is_current(document):
+            path = document.path
+            if os.path.lexists(path) and read_raw(path) != document.raw:
                 document = read_document(document.path, document.problem.trusted)
                 line = f"{document.path.name} was changed by another program"
                 self.session = session.changed(

@@ -509,9 +509,14 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
             outline = np.insert(corners, 1, right, axis=1) @ prism.axes.T + away
             solids.append(extruded(outline, (left - right) * prism.axes[:, 1]))
     shade = fine.interpolated(ground_drawing.brightness(x, y, drawn.z).reshape(-1, 1)).ravel()
+    closest = list[Lines]()  # vertical lines where bodies came closest to the ground
+    if places := [each.run.facts[CLOSEST] for each in drives if CLOSEST in each.run.facts]:
+        feet = np.array([[each.value[axis] for axis in "xyz"] for each in places]) - origin
+        posts, labels = _posts(feet, reach, [each.words for each in places])
+        closest.append(Lines("closest", "bodies above the ground", CLOSEST_COLOR, posts, labels))
     lines = (
         *map_lines(drawn, first.terrain, window, origin, reach),
-        *_closest(drives, origin, reach),
+        *closest,
         *_plan_lines(first, window, origin, reach),
     )
     gray = np.tile(np.array(BLOCKED, np.uint8), (sum(len(each.vertices) for each in solids), 1))
@@ -534,15 +539,6 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
     return Scene(
         ground, tuple(actors), origin, reach, backdrop, scales, tuple(notes), tuple(warnings)
     )
-
-
-def _closest(drives: Sequence[Driven], origin: Array, reach: float) -> Iterable[Lines]:
-    """Yield vertical lines where bodies came closest to the ground, if facts contain the places."""
-    places = [each.run.facts[CLOSEST] for each in drives if CLOSEST in each.run.facts]
-    if places:
-        feet = np.array([[each.value[axis] for axis in "xyz"] for each in places]) - origin
-        posts, labels = _posts(feet, reach, [each.words for each in places])
-        yield Lines("closest", "bodies above the ground", CLOSEST_COLOR, posts, labels)
 
 
 def _posts(
@@ -728,8 +724,15 @@ def _plate_spans(
     radius = max(wheel.radius for wheel in vehicle.wheels)
     parents = {joint.name: joint.parent for joint in vehicle.joints}
     halves = dict[tuple[bool, ...], int]()
+
+    def is_carried(part: str, by: str) -> bool:
+        """Return whether the part ``by`` is ``part``, or moves with it."""
+        while by != part and by in parents:
+            by = parents[by]
+        return by == part
+
     for number, joint in enumerate(vehicle.joints, 1):
-        carried = tuple(_is_carried(joint.name, each.parent, parents) for each in vehicle.wheels)
+        carried = tuple(is_carried(joint.name, each.parent) for each in vehicle.wheels)
         x, y, _ = places[list(carried)].T
         away = y - joints[number, 1]
         if x.size and x.min() < 0 < x.max() and max(away.min(), -away.max()) > radius:
@@ -742,13 +745,6 @@ def _plate_spans(
         span = float(away.min(initial=0)), float(away.max(initial=0))
         spans[vehicle.joints[number - 1].name] = span
     return spans
-
-
-def _is_carried(part: str, by: str, parents: Mapping[str, str]) -> bool:
-    """Return whether the part ``by`` is ``part``, or moves with it."""
-    while by != part and by in parents:
-        by = parents[by]
-    return by == part
 
 
 def _with_visuals(

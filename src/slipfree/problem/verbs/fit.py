@@ -369,7 +369,24 @@ def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog])
     gyration = ((2 * half) ** 2 + (2 * base + 0.4) ** 2) / 12
     fixed = {"gyration": gyration, "inertia": float(spec.model == "dynamics")} | spec.constants
     problem.refuse(*name_errors(("constants",), spec.constants, tuple(BALANCE)))
-    unknowns = [*_usual_unknowns(problem, logs, inputs.driven)]
+    is_known, unknowns = spec.vehicle is not None, list[Unknown]()
+    for side, sign in zip(SIDES, (-1, 1), strict=True):
+        wheels = tuple(name for name, place in inputs.driven.items() if sign * place > 0)
+        prior = None if is_known or spec.data.unit == "m/s" else (RADIUS, 0.14)
+        unknowns.append(Unknown(f"radius_{side}", "radius", wheels, prior=prior))
+    unknowns.append(Unknown("track", "track", prior=None if is_known else (2 * HALF, HALF)))
+    usual = ["stiffness", "gyration", "delay"]
+    has_headings = all(log.heading is not None for log in logs)
+    usual += ["center_of_mass_ahead"] if has_headings else []
+    usual += ["lag"] if spec.data.inputs == "commands" else []
+    usual += ["turn_slope"] if spec.terrain is not None else []
+    unknowns += [Unknown(name, name) for name in usual]
+    for kind in ("friction", "rolling", *(["age"] if has_headings else [])):
+        groups = sorted({getattr(log, BALANCE[kind].of) for log in logs})
+        if len(groups) > 1:
+            unknowns += [Unknown(f"{kind}_{Path(each).name}", kind, of=each) for each in groups]
+        elif kind != "rolling":
+            unknowns.append(Unknown(kind, kind))
     for own in own_unknowns(problem, names):
         unknowns = [
             each
@@ -383,41 +400,6 @@ def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog])
     model = Model(age_priors(kept, logs), fixed, radii, names, half)
     sought_of(model)  # errors of bounds
     return model
-
-
-def _usual_unknowns(
-    problem: Problem[Fit], logs: Sequence[DriveLog], driven: Mapping[str, float]
-) -> Iterator[Unknown]:
-    """Yield the usual unknowns of logs; ``driven`` are the lateral places of driven wheels."""
-    is_known = problem.spec.vehicle is not None
-    for side, sign in zip(SIDES, (-1, 1), strict=True):
-        wheels = tuple(name for name, place in driven.items() if sign * place > 0)
-        prior = None if is_known or problem.spec.data.unit == "m/s" else (RADIUS, 0.14)
-        yield Unknown(f"radius_{side}", "radius", wheels, prior=prior)
-    yield Unknown("track", "track", prior=None if is_known else (2 * HALF, HALF))
-    names = ["stiffness", "gyration", "delay"]
-    has_headings = all(log.heading is not None for log in logs)
-    names += ["center_of_mass_ahead"] if has_headings else []
-    names += ["lag"] if problem.spec.data.inputs == "commands" else []
-    names += ["turn_slope"] if problem.spec.terrain is not None else []
-    yield from (Unknown(name, name) for name in names)
-    for kind in ("friction", "rolling", *(["age"] if has_headings else [])):
-        groups = sorted({getattr(log, BALANCE[kind].of) for log in logs})
-        if len(groups) > 1:
-            yield from (Unknown(f"{kind}_{Path(each).name}", kind, of=each) for each in groups)
-        elif kind != "rolling":
-            yield Unknown(kind, kind)
-
-
-def log_paths(problem: Problem[Fit], predict: Sequence[Path] = ()) -> list[Path]:
-    """Return the paths of the fitted logs; ModelError is raised if one is also to be predicted."""
-    paths = [problem.folder / name for name in problem.spec.named_files]
-    if again := {path.resolve() for path in paths} & {path.resolve() for path in predict}:
-        raise ModelError(
-            "expected logs to predict that are not fitted, found "
-            f"{', '.join(sorted(path.name for path in again))} in both; remove them from one"
-        )
-    return paths
 
 
 def maps_of(problem: Problem[Fit]) -> tuple[Slopes | None, list[Slopes], Grid | None]:
@@ -447,7 +429,12 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
     own_unknowns(problem, [wheel.name for wheel in inputs.vehicle.wheels])
     slopes, further, grid = maps_of(problem)
     with at(problem, ("data", "file")):
-        paths = log_paths(problem, predict)
+        paths = [problem.folder / name for name in spec.named_files]
+        if again := {path.resolve() for path in paths} & {path.resolve() for path in predict}:
+            raise ModelError(
+                "expected logs to predict that are not fitted, found "
+                f"{', '.join(sorted(path.name for path in again))} in both; remove them from one"
+            )
         surfaces = spec.data.surfaces
         if surfaces and len(surfaces) not in (len(paths), len(paths) + len(predict)):
             raise ModelError(
@@ -579,7 +566,15 @@ class _Reader(NamedTuple):
         even = [np.arange(t[own[0]], t[own[-1]] + 1e-6 * step, step) for own in parts]
         at_even = np.concatenate(even)
         runs = np.repeat(np.arange(len(even)), [own.size for own in even])
-        rows, held = _nearest(t, parts, even)
+        # for each sample the nearest row of its run, and the last one before it
+        nearest, earlier = list[Indices](), list[Indices]()
+        for own, ours in zip(parts, even, strict=True):
+            last = np.maximum(np.searchsorted(t[own], ours + 1e-9, side="right") - 1, 0)
+            after = np.minimum(last + 1, own.size - 1)
+            is_after = t[own][after] - ours < ours - t[own][last]
+            nearest.append(own[np.where(is_after, after, last)])
+            earlier.append(own[last])
+        rows, held = np.concatenate(nearest), np.concatenate(earlier)
         pieces = np.append(0, np.cumsum(~follows | ends))
         place, is_fresh, is_held = _places(t, z + complex(*spec.shift), pieces, at_even, rows)
         between = partial(by_runs, at_even, runs, t, run)
@@ -674,18 +669,6 @@ class _Reader(NamedTuple):
             )
             bad["at positions against the velocities"] = np.asarray(jumps, bool)
         return bad
-
-
-def _nearest(t: Array, parts: Sequence[Indices], even: Sequence[Array]) -> tuple[Indices, Indices]:
-    """Return for each sample the nearest row of its run, and the last one before it."""
-    near, held = list[Indices](), list[Indices]()
-    for part, own in zip(parts, even, strict=True):
-        last = np.maximum(np.searchsorted(t[part], own + 1e-9, side="right") - 1, 0)
-        after = np.minimum(last + 1, part.size - 1)
-        is_after = t[part][after] - own < own - t[part][last]
-        near.append(part[np.where(is_after, after, last)])
-        held.append(part[last])
-    return np.concatenate(near), np.concatenate(held)
 
 
 def _places(

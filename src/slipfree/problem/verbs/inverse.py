@@ -36,7 +36,7 @@ from slipfree.problem.build import (
 )
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
-from slipfree.problem.schema import FILE, MotionKeys, TerrainKeys, Time
+from slipfree.problem.schema import FILE, MotionKeys, TerrainKeys
 from slipfree.problem.verbs import base
 from slipfree.solve.collocation import drive
 from slipfree.solve.replay import apply_inputs, replay, round_trip, spline_inputs, trim_states
@@ -156,8 +156,19 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
     for name, value in given.items():
         words = value
         if isinstance(value, str):
+            t, symbol = input_samples(spec.time.duration, spec.time.step, {})[0], ca.SX.sym("t")
             with at(problem, ("given", name)):
-                _check_formula(value, spec.time)
+                try:
+                    formula = evaluate(value, {"t": symbol})
+                except ModelError as error:
+                    remedy = "a rate may be a formula of t, in seconds"
+                    raise ModelError(f"{error}; {remedy}") from error
+                rates = np.array(ca.Function("rate", [symbol], [formula])(t[None])).ravel()
+                for k in np.flatnonzero(~np.isfinite(rates))[:1].tolist():
+                    raise ModelError(
+                        f"expected finite values of {value!r}, found {rates[k]:g} at t = "
+                        f"{t[k]:g} s; change the formula"
+                    )
         elif isinstance(value, tuple):
             words = " then ".join(f"{rate:g}" for _, rate in value)
         else:
@@ -246,21 +257,6 @@ def _faults(
         yield toml.Fault(place, expected, found)
 
 
-def _check_formula(text: str, time: Time) -> None:
-    t, symbol = input_samples(time.duration, time.step, {})[0], ca.SX.sym("t")
-    try:
-        value = evaluate(text, {"t": symbol})
-    except ModelError as error:
-        raise ModelError(f"{error}; a rate may be a formula of t, in seconds") from error
-    rates = np.array(ca.Function("rate", [symbol], [value])(t[None])).ravel()
-    if not np.isfinite(rates).all():
-        k = int(np.flatnonzero(~np.isfinite(rates))[0])
-        raise ModelError(
-            f"expected finite values of {text!r}, found {rates[k]:g} at t = {t[k]:g} s; change the "
-            "formula"
-        )
-
-
 ROUND_TRIP, REPLAY = "round_trip_", "replay_"  # beginnings of the names of differences
 METHOD, COLLOCATION = "solved_by", "collocation"  # attribute of a result, and one of its values
 STEERED = 0.02  # largest error of a steering coordinate at its target [rad, m]
@@ -297,48 +293,6 @@ def steering_warning(run: Trajectory) -> str:
     if "steering_growth" not in run.columns or is_collocated(run):
         return ""
     return steering_note(run)
-
-
-def _inverse_facts(run: Trajectory) -> dict[str, Fact]:
-    """Return the facts about rates of wheels and steering, and errors of commands or of a path."""
-    facts = dict[str, Fact]()
-    if "inverse_margin" in run:
-        facts["margin_meaning"] = Fact(run.columns["inverse_margin"].label.words)
-    if warning := steering_warning(run):
-        facts["steering_warning"] = Fact(warning)
-    rates = [
-        {"wheel": wheel, "first": float(run[name][0]), "last": float(run[name][-1])}
-        for wheel in run.wheels
-        if (name := f"{wheel}_rate") in run
-    ]
-    known = *COMMANDS, "path", "heading"
-    steered = [name for name in run if f"{name}_error" in run and name not in known]
-    at_stops = run.facts["held_at_stop"].value if "held_at_stop" in run.facts else ()
-    ranges = list[dict[str, Any]]()
-    for name in [each for each in ("steer", "steer_rate") if each in run] + steered:
-        unit, words = printed_unit(run.columns[name].label.unit), ""
-        if name in steered:
-            words = f", off by {np.abs(run[f'{name}_error']).max():.1e} {unit} at most"
-            words += "; reaches its stop" if name in at_stops else ""
-        low, high = float(run[name].min()), float(run[name].max())
-        shown = {"steer": "angle", "steer_rate": "rate"}.get(name, name)
-        ranges.append({"name": shown, "least": low, "greatest": high, "unit": unit, "words": words})
-    off = [np.abs(run[f"{name}_error"]) for name in steered]
-    is_turning = np.max([np.zeros(run.t.size), *off], axis=0) > STEERED
-    errors = list[dict[str, Any]]()
-    for name in (each for each in known if f"{each}_error" in run):
-        error, unit = np.abs(run[f"{name}_error"]), run.columns[f"{name}_error"].label.unit
-        unit, worst = printed_unit(unit), int(error.argmax())
-        if name not in COMMANDS:  # errors of a path accumulate
-            words = f"{error[-1]:.1e} {unit} at the end"
-        elif is_turning.all():
-            words = f"the steering is never within {STEERED:g} rad of its target"
-        else:
-            words = f"{error[~is_turning].max():.1e} {unit} while the steering is at its target"
-        row = {"largest": float(error[worst]), "t": float(run.t[worst])}
-        errors.append({"name": name, **row, "unit": unit, "words": words})
-    tables = {"wheel_rates": rates, "steering": ranges, "command_errors": errors}
-    return facts | {name: Fact(rows) for name, rows in tables.items()}
 
 
 class InverseVerb(base.DriveVerb):
@@ -425,7 +379,46 @@ class InverseVerb(base.DriveVerb):
 
     def facts(self, run: Trajectory) -> dict[str, Fact]:
         """Return the facts of a motion, including rates, least margin and errors."""
-        return super().facts(run) | _inverse_facts(run)
+        facts = super().facts(run)
+        if "inverse_margin" in run:
+            facts["margin_meaning"] = Fact(run.columns["inverse_margin"].label.words)
+        if warning := steering_warning(run):
+            facts["steering_warning"] = Fact(warning)
+        rates = [
+            {"wheel": wheel, "first": float(run[name][0]), "last": float(run[name][-1])}
+            for wheel in run.wheels
+            if (name := f"{wheel}_rate") in run
+        ]
+        known = *COMMANDS, "path", "heading"
+        steered = [name for name in run if f"{name}_error" in run and name not in known]
+        at_stops = run.facts["held_at_stop"].value if "held_at_stop" in run.facts else ()
+        ranges = list[dict[str, Any]]()
+        for name in [each for each in ("steer", "steer_rate") if each in run] + steered:
+            unit, words = printed_unit(run.columns[name].label.unit), ""
+            if name in steered:
+                words = f", off by {np.abs(run[f'{name}_error']).max():.1e} {unit} at most"
+                words += "; reaches its stop" if name in at_stops else ""
+            low, high = float(run[name].min()), float(run[name].max())
+            shown = {"steer": "angle", "steer_rate": "rate"}.get(name, name)
+            ranges.append(
+                {"name": shown, "least": low, "greatest": high, "unit": unit, "words": words}
+            )
+        off = [np.abs(run[f"{name}_error"]) for name in steered]
+        is_turning = np.max([np.zeros(run.t.size), *off], axis=0) > STEERED
+        errors = list[dict[str, Any]]()
+        for name in (each for each in known if f"{each}_error" in run):
+            error, unit = np.abs(run[f"{name}_error"]), run.columns[f"{name}_error"].label.unit
+            unit, worst = printed_unit(unit), int(error.argmax())
+            if name not in COMMANDS:  # errors of a path accumulate
+                words = f"{error[-1]:.1e} {unit} at the end"
+            elif is_turning.all():
+                words = f"the steering is never within {STEERED:g} rad of its target"
+            else:
+                words = f"{error[~is_turning].max():.1e} {unit} while the steering is at its target"
+            row = {"largest": float(error[worst]), "t": float(run.t[worst])}
+            errors.append({"name": name, **row, "unit": unit, "words": words})
+        tables = {"wheel_rates": rates, "steering": ranges, "command_errors": errors}
+        return facts | {name: Fact(rows) for name, rows in tables.items()}
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
         """Return a warning if the steering is unstable, unless the message of the stop has it."""
@@ -445,7 +438,18 @@ def _given_rates(
     if points is None and are_commands(spec.given or ()):
         return read_commands(problem, spec)
     given = dict(spec.given) if spec.given is not None else dict.fromkeys(given_rates.PLANAR, 0.0)
-    faults = [*_rate_faults(given)]
+    known = dict.fromkeys((*given_rates.RATES, *COMMANDS, *ROBOT))
+    faults = [*toml.name_errors(("given",), given, [*known])]
+    if ours := [name for name in given if name in {*COMMANDS, *ROBOT} - {*given_rates.RATES}]:
+        expected = (
+            f"either rates in the platform's heading frame ({', '.join(COMMANDS)}; with frame = "
+            f"'rep103' also {', '.join(ROBOT)}) or other rates, not both"
+        )
+        found = f"{', '.join(given)}; remove one kind"
+        faults.append(toml.Fault(("given", ours[0]), expected, found))
+    found = f"a function of time; give a number (only {', '.join(COMMANDS)} may vary in time)"
+    functions = [name for name, value in given.items() if not isinstance(value, float)]
+    faults += [toml.Fault(("given", name), "a number", found) for name in functions]
     is_solved_for = points is not None and spec.steering == "angle"
     if spec.exact is not None and not is_solved_for:
         expected = (
@@ -464,26 +468,6 @@ def _given_rates(
     if is_solved_for and not given_rates.is_determined(vehicle):
         return dict.fromkeys(COMMANDS, 0.0), words
     return given, f"{words}; the steering {spec.steering} is unknown"
-
-
-def _rate_faults(given: dict[str, float]) -> Iterator[toml.Fault]:
-    """Yield an error for each unknown name, and for a wrong kind of the given rates."""
-    yield from toml.name_errors(
-        ("given",), given, list(dict.fromkeys((*given_rates.RATES, *COMMANDS, *ROBOT)))
-    )
-    if ours := [name for name in given if name in {*COMMANDS, *ROBOT} - {*given_rates.RATES}]:
-        expected = (
-            f"either rates in the platform's heading frame ({', '.join(COMMANDS)}; with frame = "
-            f"'rep103' also {', '.join(ROBOT)}) or other rates, not both"
-        )
-        yield toml.Fault(("given", ours[0]), expected, f"{', '.join(given)}; remove one kind")
-    for name, value in given.items():
-        if not isinstance(value, float):
-            yield toml.Fault(
-                ("given", name),
-                "a number",
-                f"a function of time; give a number (only {', '.join(COMMANDS)} may vary in time)",
-            )
 
 
 def _points(problem: Problem[Inverse], vehicle: Vehicle) -> tuple[Array | None, tuple[str, ...]]:
@@ -514,27 +498,24 @@ def _points(problem: Problem[Inverse], vehicle: Vehicle) -> tuple[Array | None, 
             check_motion(log, zero=zero, is_aligned=not moves_sideways(vehicle))
     with at(problem, place):
         check_way_points(*points)
-    problem.refuse(*_path_faults(points, place, problem.spec))
-    points[3] += heading_offset(problem)
-    return points, notes
-
-
-def _path_faults(points: Array, place: tuple[str, ...], spec: Inverse) -> Iterator[toml.Fault]:
-    """Yield an error for a path that begins late or ends early, and for a leap of the heading."""
-    t, heading = points[[0, 3]]
+    (t, *_, heading), faults = points, list[toml.Fault]()
     if t[0] != 0:
-        yield toml.Fault(place, "0 as the first time", f"{t[0]:g} s; shift the times")
+        faults.append(toml.Fault(place, "0 as the first time", f"{t[0]:g} s; shift the times"))
     elif t[-1] < spec.time.duration:
         expected = f"at most the time of the last way-point, {t[-1]:g} s"
         found = f"{spec.time.duration:g} s; reduce the duration, or add way-points"
-        yield toml.Fault(("time", "duration"), expected, found)
+        faults.append(toml.Fault(("time", "duration"), expected, found))
     for k in np.flatnonzero(np.abs(np.diff(heading)) > np.pi)[:1].tolist():
         before, after = heading[k : k + 2]
         change = "subtract 2 pi from" if after > before else "add 2 pi to"
         remedy = f"{change} the headings from there on if they wrap, or add way-points"
-        expected = "consecutive headings that differ by at most pi"
         found = f"{after:g} rad at way-point {k + 2} after {before:g} rad; {remedy}"
-        yield toml.Fault(("path", "heading") if place[-1] == "t" else place, expected, found)
+        where = ("path", "heading") if path.file is None else place
+        expected = "consecutive headings that differ by at most pi"
+        faults.append(toml.Fault(where, expected, found))
+    problem.refuse(*faults)
+    points[3] += heading_offset(problem)
+    return points, notes
 
 
 def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajectory:
