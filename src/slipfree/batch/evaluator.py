@@ -141,8 +141,16 @@ def evaluator_of_graphs(
     """Return the evaluator of graphs, with C code of steps that call them."""
     if compiled and all(each.cells for graph in graphs.every for each in graph.lookups):
         source = _Source(graphs.every, steps)
-        if source.unknown is None and (loaded := _compiled(source, lanes)) is not None:
-            return _Compiled(graphs, source, loaded)
+        if source.unknown is None:
+            native, widest = _machine()
+            lanes = lanes or widest
+            header = Path(__file__).with_name("lanes.c").read_text(encoding="utf-8")
+            splat = f"#define SPLAT(a) ((vd){{{','.join(['a'] * lanes)}}})"
+            text = f"#define LANES {lanes}\n{splat}\n{header}\n{source.code}"
+            flags = ("-O2" if len(text) < LONG else "-O1", *FLAGS, *native[:1])
+            loaded = shared_library(f"{native}\n{text}", lambda: text, ctypes.CDLL, flags)
+            if loaded is not None:
+                return _Compiled(graphs, source, loaded)
     return EvaluatorOf(graphs)
 
 
@@ -277,21 +285,17 @@ class CodeWriter:
                         lines.append(f"{inverses[w[-1]]}={self.one}/{w[-1]};")
                     operation = ca.OP_MUL if operation == ca.OP_DIV else ca.OP_ASSIGN
                     w[-1] = inverses[w[-1]]
-                value = self._value(operation, w)
+                if operation in OPERATORS:
+                    value = OPERATORS[operation].format(*w)
+                elif operation in CALLS:
+                    value = self.call(CALLS[operation], w)
+                else:
+                    self.unknown, value = operation, w[0]
                 used.add(found[0])
                 values[found[0]] = self.work.format(found[0])
                 inverses.pop(values[found[0]], None)
                 lines.append(f"{values[found[0]]}={value};")
         return sorted(used), lines
-
-    def _value(self, operation: int, w: list[str]) -> str:
-        """Return the C expression of an elementary operation; remember an unknown one."""
-        if operation in OPERATORS:
-            return OPERATORS[operation].format(*w)
-        if operation in CALLS:
-            return self.call(CALLS[operation], w)
-        self.unknown = operation
-        return w[0]
 
 
 class _Source(CodeWriter):
@@ -387,16 +391,6 @@ def _step_code(graphs: Graphs) -> str:
         sizes["FIRST_RELAXING"] = rows.x.stop - graphs.dae.rest.numel()
     lines = [f"#define {name} {value}" for name, value in sizes.items()]
     return "\n".join([*lines, Path(__file__).with_name("step.c").read_text(encoding="utf-8")])
-
-
-def _compiled(source: _Source, lanes: int | None) -> ctypes.CDLL | None:
-    native, widest = _machine()
-    lanes = lanes or widest
-    header = Path(__file__).with_name("lanes.c").read_text(encoding="utf-8")
-    constant = ",".join(["a"] * lanes)
-    text = f"#define LANES {lanes}\n#define SPLAT(a) ((vd){{{constant}}})\n{header}\n{source.code}"
-    flags = ("-O2" if len(text) < LONG else "-O1", *FLAGS, *native[:1])
-    return shared_library(f"{native}\n{text}", lambda: text, ctypes.CDLL, flags)
 
 
 @cache

@@ -124,7 +124,13 @@ def graphs_of(dae: Dae) -> Graphs:
 
     ModelError is raised for models other than kinematics with least slip and quasi-statics.
     """
-    checks = _checks_of(dae)
+    checks = tuple(check for check in dae.checks if isinstance(check, PlacedCheck))
+    other = dae.standing is not None or len(dae.alg) < 3 or len(checks) < len(dae.checks)
+    if other or (dae.rest.numel() and dae.linear is None):
+        raise ModelError(
+            "batch: expected a model of kinematics or quasi-statics, found another one; use "
+            "method='simulate'"
+        )
     ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
     p, w, f = (dae.columns()[1][a:b] for a, b in pairwise(ends))
     late = [ca.depends_on(rate, f) for rate in ca.vertsplit(dae.quad)] if dae.quad.numel() else []
@@ -134,7 +140,13 @@ def graphs_of(dae: Dae) -> Graphs:
     rows, state = state_of(dae, (p, w, f), len(kept), n_before)
     eliminate = elimination(dae, state, rows)
     quad = [dae.quad[k] for k in kept]
-    distances, bounds = _distances(dae)
+    distances, bounds = list[ca.SX](), list[int]()
+    for k, limit in enumerate(dae.limits):
+        for bound, sign in ((limit.lower, 1.0), (limit.upper, -1.0)):
+            if np.isfinite(bound):
+                distance = sign * (limit.expression - bound)
+                distances.append(distance / dae.size_of(limit.label))
+                bounds.append(k)
     scale = ca.DM(dae.scale)
     new_p, moved = _moved(dae, (p, w), quad, eliminate)
     # sums, since maxima would ignore what is not a number
@@ -163,7 +175,7 @@ def graphs_of(dae: Dae) -> Graphs:
         graph("motion", *motion),
         graph("checked", *motion, watched[:n_f], watched[n_f], watched[n_f + 1 :], before),
         graph("slopes", derivatives[: rows.x.stop if n_before else 0]),
-        bounds,
+        tuple(bounds),
         graph("limits", pack(tuple(each.expression for each in dae.limits))),
         graph("outputs", pack(dae.y)),
         checks,
@@ -171,19 +183,6 @@ def graphs_of(dae: Dae) -> Graphs:
         graph("placing", *(check.placing for check in checks)),
         linear,
     )
-
-
-def _checks_of(dae: Dae) -> tuple[PlacedCheck, ...]:
-    """Return the checks of a model; raise ModelError if it is of another kind."""
-    checks = tuple(check for check in dae.checks if isinstance(check, PlacedCheck))
-    other = dae.standing is not None or len(dae.alg) < 3 or len(checks) < len(dae.checks)
-    relaxes = dae.rest.numel() and dae.linear is None
-    if other or relaxes:
-        raise ModelError(
-            "batch: expected a model of kinematics or quasi-statics, found another one; use "
-            "method='simulate'"
-        )
-    return checks
 
 
 def state_of(
@@ -267,17 +266,6 @@ def _rates(dae: Dae, w: ca.SX, eliminate: Solve) -> tuple[ca.SX, ca.SX]:
     return rates, ca.norm_1(step) ** 2
 
 
-def _distances(dae: Dae) -> tuple[list[ca.SX], tuple[int, ...]]:
-    distances, index = list[ca.SX](), list[int]()
-    for k, limit in enumerate(dae.limits):
-        size = dae.size_of(limit.label)
-        for bound, sign in ((limit.lower, 1.0), (limit.upper, -1.0)):
-            if np.isfinite(bound):
-                distances.append(sign * (limit.expression - bound) / size)
-                index.append(k)
-    return distances, tuple(index)
-
-
 def _doubt(step: ca.SX, scale: ca.DM, distances: list[ca.SX], f: ca.SX) -> ca.SX:
     """Return a number that is positive if the forces need another Newton step.
 
@@ -315,15 +303,26 @@ def graph_of(dae: Dae, state: ca.SX, name: str, results: Sequence[ca.SX]) -> Gra
 
 
 def elimination(dae: Dae, state: ca.SX, rows: StateRows) -> Solve:
-    """Return a function that solves linear systems of expressions by elimination."""
+    """Return a function that solves linear systems of expressions by elimination.
+
+    A system has at least n equations for n unknowns; surplus equations are ignored.
+    """
     samples = _sampled_states(dae, state, rows)
 
     def solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
         (values,) = evaluate(dae.function("matrix", [state], [ca.densify(ca.vec(matrix))]), samples)
-        m, n = matrix.shape
-        numbers = values.T[np.isfinite(values).all(axis=0)].reshape(-1, n, m)
+        (m, n), solution = matrix.shape, None
+        turned = values.T[np.isfinite(values).all(axis=0)].reshape(-1, n, m)
+        numbers = turned.transpose(0, 2, 1)  # samples of the matrix
         with np.errstate(all="ignore"):
-            return _eliminate(matrix, right, numbers.transpose(0, 2, 1))
+            # pivots on the diagonal of a symmetric matrix need half the operations; those of the
+            # least-slip condition can be chosen there, since rates precede multipliers
+            if m == n and np.allclose(numbers, turned, rtol=1e-12, atol=0):
+                solution, smallest = _eliminated(matrix, right, numbers.copy(), symmetric=True)
+                solution = solution if smallest >= MIN_PIVOT_ON_DIAGONAL else None
+            if solution is None:
+                solution, _ = _eliminated(matrix, right, numbers.copy(), symmetric=False)
+        return solution
 
     return solve
 
@@ -383,23 +382,6 @@ def _sampled_states(dae: Dae, state: ca.SX, rows: StateRows) -> Array:
     samples[rows.w] = unknowns[1] + within * samples[rows.w]
     samples[rows.lag] = np.abs(samples[rows.lag])
     return samples
-
-
-def _eliminate(matrix: ca.SX, right: ca.SX, numbers: Array) -> ca.SX:
-    """Return the solution of a linear system of at least n equations for n unknowns.
-
-    ``numbers`` (n_samples, m, n) are samples of the matrix. Surplus equations are ignored.
-
-    A symmetric matrix is eliminated with pivots on its diagonal, which needs half the operations;
-    those of the least-slip condition can be chosen there, since rates precede multipliers.
-    """
-    (m, n), symmetric_numbers = matrix.shape, numbers.transpose(0, 2, 1)
-    symmetric = m == n and bool(np.allclose(numbers, symmetric_numbers, rtol=1e-12, atol=0))
-    if symmetric:
-        solution, smallest = _eliminated(matrix, right, numbers.copy(), symmetric=True)
-        if smallest >= MIN_PIVOT_ON_DIAGONAL:
-            return solution
-    return _eliminated(matrix, right, numbers.copy(), symmetric=False)[0]
 
 
 def _eliminated(

@@ -141,17 +141,30 @@ def settle_many(
     sources = sources_of(graphs, names if quantities is None else quantities)
     columns = {name: np.asarray(values, dtype=float) for name, values in start.items()}
     count = max((values.size for values in columns.values()), default=1)
-    parts = list[_Poses]()
+    parts, endings = list[dict[str, Array]](), list[tuple[str, str]]()
     for first in range(0, count, CHUNK):
         part = {n: v if v.size == 1 else v[first : first + CHUNK] for n, v in columns.items()}
-        parts.append(_poses(evaluate, start_states(graphs, part), sources))
-    return _pose_dataset(sources, parts)
-
-
-class _Poses(NamedTuple):
-    values: dict[str, Array]
-    outcomes: list[str]
-    reasons: list[str]
+        states = start_states(graphs, part)
+        codes = stand_checked(evaluate, states, stand(evaluate, states))
+        ended = {k: (outcome, words) for k, outcome, words in _ends(evaluate, codes, states)}
+        if (failed := np.flatnonzero(codes == UNSOLVED)).size:
+            messages = obstacles(model, *columns_of(graphs, states[:, failed])[:2])
+            ended |= {k: (FAILED, each) for k, each in zip(failed.tolist(), messages, strict=True)}
+            states[:, failed] = np.nan
+        endings += [ended.get(lane, ("complete", "")) for lane in range(codes.size)]
+        parts.append(_values(evaluate, sources, states[None]))
+    variables: dict[str, Any] = {}
+    wheels = tuple[str, ...]()
+    for name, source in sources.items():
+        values = np.concatenate([part[name][:, 0] for part in parts])
+        wheels = source.wheels or wheels
+        metadata = Column(source.label, values).metadata
+        variables[name] = ("pose", "wheel")[: values.ndim], values, metadata
+    for name, texts in zip(("outcome", "reason"), zip(*endings, strict=True), strict=True):
+        variables[name] = "pose", np.array(texts, dtype=str)
+    coordinates = {"wheel": ("wheel", np.array(wheels), WHEELS)} if wheels else {}
+    dataset: xarray.Dataset = require("xarray").Dataset(variables, coordinates)
+    return dataset
 
 
 class Rests(NamedTuple):
@@ -338,21 +351,6 @@ def stand_checked(evaluate: Evaluator, states: Array, rests: Rests) -> Indices:
     return codes
 
 
-def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, Wanted]) -> _Poses:
-    graphs = evaluate.graphs
-    codes = stand_checked(evaluate, states, stand(evaluate, states))
-    outcomes, reasons = ["complete"] * codes.size, [""] * codes.size
-    for lane, outcome, reason in _ends(evaluate, codes, states):
-        outcomes[lane], reasons[lane] = outcome, reason
-    if (failed := np.flatnonzero(codes == UNSOLVED)).size:
-        words = obstacles(graphs.dae, *columns_of(graphs, states[:, failed])[:2])
-        for k, reason in zip(failed, words, strict=True):
-            outcomes[k], reasons[k] = FAILED, reason
-        states[:, failed] = np.nan
-    values = _values(evaluate, sources, states[None])
-    return _Poses({n: v[:, 0] for n, v in values.items()}, outcomes, reasons)
-
-
 def obstacles(dae: Dae, x: Array, z: Array) -> list[str]:
     """Return why vehicles do not stand: a limit that their last positions violate, if any."""
     x_symbols, unknowns, inputs = dae.columns()
@@ -368,23 +366,6 @@ def obstacles(dae: Dae, x: Array, z: Array) -> list[str]:
                 messages[k] = f"no pose was found: {words}; choose another place"
                 break
     return messages
-
-
-def _pose_dataset(sources: Mapping[str, Wanted], parts: Sequence[_Poses]) -> xarray.Dataset:
-    """Return the poses of all parts as an xarray dataset, with units and outcomes."""
-    variables: dict[str, Any] = {}
-    wheels = tuple[str, ...]()
-    for name, source in sources.items():
-        values = np.concatenate([part.values[name] for part in parts])
-        wheels = source.wheels or wheels
-        metadata = Column(source.label, values).metadata
-        variables[name] = ("pose", "wheel")[: values.ndim], values, metadata
-    for name in ("outcomes", "reasons"):
-        texts = [text for part in parts for text in getattr(part, name)]
-        variables[name.removesuffix("s")] = "pose", np.array(texts, dtype=str)
-    coordinates = {"wheel": ("wheel", np.array(wheels), WHEELS)} if wheels else {}
-    dataset: xarray.Dataset = require("xarray").Dataset(variables, coordinates)
-    return dataset
 
 
 def start_states(graphs: Graphs, start: Mapping[str, Array]) -> Array:

@@ -200,7 +200,11 @@ def _integrate(
     samples, reached = run.samples[:, : rows.t.stop], run.reached
     if is_stiff:
         half = GIVEN._replace(graded=numbers.graded, shortest=numbers.shortest / 2)
-        errors = _errors_by_halving(evaluate, states, inputs, t, run, half)
+        # of motions with half the step; relaxing states have the error of the last, halved too
+        x, lanes = rows.x, np.arange(reached.size)
+        finer = _drive(evaluate, states, inputs, t, half, x.stop, 2 * run.counts)
+        errors = (run.samples[:, x] - finer.samples)[np.maximum(reached, 0), :, lanes].T
+        errors *= HALVED if dae.lag is None else RELAXING_HALVED
     ends = _Ends(evaluate, t, run, certify=certify)
     started = reached >= 0
     ends.reason[~started & (run.reason >= 0)] = INVALID_START
@@ -218,19 +222,6 @@ def _integrate(
     distances[:, invalid] = solve_forces(evaluate, states[:, invalid])
     found = samples, ends.end, ends.reason, ends.beyond, errors, distances
     return Motions(*found, run.counts.sum(axis=0).astype(int))
-
-
-def _errors_by_halving(
-    evaluate: Evaluator, states: Array, inputs: Array, t: Array, run: _Course, half: _Numbers
-) -> Array:
-    """Return the errors of ``x`` at the last samples from motions with half the step.
-
-    Graded steps are halved as well: relaxing states have the error of the last one.
-    """
-    x, lanes, reached = evaluate.graphs.rows.x, np.arange(states.shape[1]), run.reached
-    finer = _drive(evaluate, states, inputs, t, half, x.stop, 2 * run.counts)
-    apart = (run.samples[:, x] - finer.samples)[np.maximum(reached, 0), :, lanes].T
-    return apart * (HALVED if evaluate.graphs.dae.lag is None else RELAXING_HALVED)
 
 
 def _drive(
@@ -504,12 +495,6 @@ class _Ends:
         self.end[lanes] = last[self.rows.t]
         self.beyond[:, lanes] = beyond
 
-    def _advanced(self, step: _Step, count: Indices) -> Array:
-        """Return the states after steps without limits, NaN where they are not solved."""
-        start = step.states[self.rows.t]
-        times = np.concatenate([start, start + step.h * count])
-        return np.asarray(self._driven(step.states, times, count[None].astype(float))[1])
-
     def _driven(self, states: Array, times: Array, counts: Array) -> Array:
         """Return the states at times (m, n) after given numbers of steps (m - 1, n) between."""
         inputs = np.repeat(states[self.rows.u][:, None], len(counts), axis=1)
@@ -539,7 +524,9 @@ class _Ends:
             share = (low + (high - low) * (share if k else 1.0))[wide]
             part = step.of(wide)
             part = part._replace(h=part.h * share)
-            states = self._advanced(part, count[wide])
+            start = part.states[self.rows.t]
+            times, counts = np.concatenate([start, start + part.h * count[wide]]), count[None, wide]
+            states = self._driven(part.states, times, counts.astype(float))[1]
             _, good, _, distances = _checked(self.evaluate, states)
             value = np.where(good, margin(states, margins(distances)), np.nan)
             fine, lanes = value >= 0, np.flatnonzero(wide)  # not for NaN

@@ -104,9 +104,25 @@ class NearestPoints:
         if isinstance(self.terrain, Bicubic):
             cells = (4 * side / max(self.terrain.grid.spacing) + 4) ** 2
             size = max(1, min(CHUNK, int(MAX_CELLS / cells)))
-        parts = (placed[:, k : k + size] for k in range(0, placed.shape[1], size))
-        nearest = [self._nearest(part.reshape(len(self.shapes), 12, -1)) for part in parts]
-        return Nearest(*(np.concatenate(each) for each in zip(*nearest, strict=True)))
+        nearest = list[tuple[Array, Array, Array]]()
+        for k in range(0, placed.shape[1], size):  # origins and axes, (n_shapes, 12, n)
+            part = placed[:, k : k + size].reshape(len(self.shapes), 12, -1)
+            if self._over_plane:
+                pairs = [
+                    evaluate(function, at[:3], at[3:])
+                    for function, at in zip(self._over_plane, part, strict=True)
+                ]
+                gaps, feet = (np.stack(each) for each in zip(*pairs, strict=True))
+                shape, pose = gaps[:, 0].argmin(axis=0), np.arange(part.shape[2])
+                nearest.append((gaps[shape, 0, pose], feet[shape, :, pose], shape))
+                continue
+            starts = self._starts(part)
+            gaps, feet = self._improved(starts)
+            order = np.lexsort((gaps, starts.pose))  # the least of each pose first
+            rows = order[np.unique(starts.pose[order], return_index=True)[1]]
+            nearest.append((gaps[rows], feet[rows], starts.shape[rows]))
+        gap, foot, shape = (np.concatenate(each) for each in zip(*nearest, strict=True))
+        return Nearest(gap, foot + np.array(self.terrain.origin), shape)
 
     def lower_bounds(self, placed: Array, far: float) -> Array:
         """Return quick lower bounds of clearances up to ``far``, (n,), minus infinity if unknown.
@@ -121,25 +137,6 @@ class NearestPoints:
         slope, _ = self._derivative_bounds(x, y)
         highest = heights.max(axis=(0, 1)) + slope * np.hypot(x[1] - x[0], y[1] - y[0]) / 2
         return np.asarray(np.minimum(lowest - highest, far))
-
-    def _nearest(self, placed: Array) -> Nearest:
-        """Return the nearest points for origins and axes of the shapes, (n_shapes, 12, n)."""
-        if self._over_plane:
-            pairs = [
-                evaluate(function, at[:3], at[3:])
-                for function, at in zip(self._over_plane, placed, strict=True)
-            ]
-            gaps, feet = (np.stack(each) for each in zip(*pairs, strict=True))
-            shape, pose = gaps[:, 0].argmin(axis=0), np.arange(placed.shape[2])
-            gap, foot = gaps[shape, 0, pose], feet[shape, :, pose]
-        else:
-            starts = self._starts(placed)
-            gaps, feet = self._improved(starts)
-            order = np.lexsort((gaps, starts.pose))  # the least of each pose first
-            _, first = np.unique(starts.pose[order], return_index=True)
-            rows = order[first]
-            gap, foot, shape = gaps[rows], feet[rows], starts.shape[rows]
-        return Nearest(gap, foot + np.array(self.terrain.origin), shape)
 
     def _starts(self, placed: Array) -> _Starts:
         n = placed.shape[2]
@@ -205,9 +202,12 @@ class NearestPoints:
     @cached_property
     def _over_plane(self) -> tuple[ca.Function, ...]:
         """Clearance and foot of each shape as functions of origin and axes; none if not a plane."""
-        plane = plane_of(self.terrain)
-        shapes = (shape for _, shape in self.shapes)
-        return () if plane is None else tuple(_plane_function(shape, plane) for shape in shapes)
+        plane, functions = plane_of(self.terrain), list[ca.Function]()
+        center, columns = ca.SX.sym("center", 3), ca.SX.sym("columns", 9)
+        for _, shape in self.shapes if plane is not None else ():
+            results = plane_gap(shape, Pose(ca.reshape(columns, 3, 3), center), plane)
+            functions.append(ca.Function("plane", [center, columns], [*results]))
+        return tuple(functions)
 
     @cached_property
     def _steps(self) -> ca.Function:
@@ -478,13 +478,6 @@ def _step_function() -> ca.Function:
 NEWTON_STEP = _step_function()
 
 
-def _plane_function(shape: BodyShape, plane: Plane) -> ca.Function:
-    """Return clearance and foot of a shape over a plane, as a function of origin and axes."""
-    center, columns = ca.SX.sym("center", 3), ca.SX.sym("columns", 9)
-    gap, foot = plane_gap(shape, Pose(ca.reshape(columns, 3, 3), center), plane)
-    return ca.Function("plane", [center, columns], [gap, foot])
-
-
 def plane_gap(shape: BodyShape, frame: Pose, plane: Plane) -> tuple[ca.SX, ca.SX]:
     """Return the clearance of a shape from a plane, and the foot of its perpendicular."""
     gradient = ca.SX(plane.gradient)
@@ -497,10 +490,7 @@ def plane_gap(shape: BodyShape, frame: Pose, plane: Plane) -> tuple[ca.SX, ca.SX
     else:
         places = [frame.origin + frame.rotation @ ca.DM(point) for point in shape.points]
     heights = [ca.dot(up, at) - up[2] * plane.height for at in places]
-    return _least([(h - radius, at - h * up) for h, at in zip(heights, places, strict=True)])
-
-
-def _least(gaps: Sequence[tuple[ca.SX, ca.SX]]) -> tuple[ca.SX, ca.SX]:
+    gaps = [(h - radius, at - h * up) for h, at in zip(heights, places, strict=True)]
     least, foot = gaps[0]
     for gap, at in gaps[1:]:
         foot = ca.if_else(gap < least, at, foot)

@@ -87,23 +87,17 @@ def touch(
     """
     center, axle = carrier.origin, carrier.rotation[:, 0]
     if isinstance(search, Plane):
-        hessian = ca.SX.zeros(2, 2)
-        at = _miss(
-            wheel.section,
-            ca.SX.zeros(2),
-            center,
-            axle,
-            ca.SX(search.height),
-            ca.SX(search.gradient),
-        )
+        spot, hessian = ca.SX.zeros(2), ca.SX.zeros(2, 2)
+        height, slope = ca.SX(search.height), ca.SX(search.gradient)
     else:
         nearest = lookups.find(search, ca.vertcat(center, axle), order=1)
-        spot, inverse, height, gradient, hessian = _split(nearest)
+        spot, inverse, height, gradient, hessian = ca.vertsplit(nearest, [0, 2, 6, 7, 9, 13])
+        inverse, hessian = ca.reshape(inverse, 2, 2), ca.reshape(hessian, 2, 2)
         off = _miss(wheel.section, spot, center, axle, height, gradient)
         step = -inverse @ off.residual  # zero, with the derivatives of the ground point
-        slope = gradient + hessian @ step
+        slope, spot = gradient + hessian @ step, spot + step
         height += ca.dot(gradient + slope, step) / 2
-        at = _miss(wheel.section, spot + step, center, axle, height, slope)
+    at = _miss(wheel.section, spot, center, axle, height, slope)
     frame = frame_at(at.point, at.normal, axle, hessian)
     friction = wheel.grip * terrain.friction(at.point[0], at.point[1], lookups)
     return Touch(at.gap, frame, friction)
@@ -125,11 +119,6 @@ def _miss(
     point = center + section.support(-normal, axle)
     away = point - ca.vertcat(spot, height)
     return _Miss(away[:2] + away[2] * gradient, normal, point, ca.dot(away, normal))
-
-
-def _split(column: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-    spot, inverse, height, gradient, hessian = ca.vertsplit(column, [0, 2, 6, 7, 9, 13])
-    return spot, ca.reshape(inverse, 2, 2), height, gradient, ca.reshape(hessian, 2, 2)
 
 
 def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Function | Plane:

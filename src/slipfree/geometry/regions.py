@@ -270,7 +270,12 @@ def _check_simple(points: Array) -> None:
         )
     for first in range(count - 2):
         for second in range(first + 2, count - (first == 0)):
-            if _meet(points, first, second):
+            a, b = points[first], points[(first + 1) % count]
+            c, d = points[second], points[(second + 1) % count]
+            is_apart = np.maximum(a, b) < np.minimum(c, d), np.maximum(c, d) < np.minimum(a, b)
+            if np.any(is_apart):
+                continue
+            if _side(a, b, c) * _side(a, b, d) <= 0 and _side(c, d, a) * _side(c, d, b) <= 0:
                 raise ModelError(
                     f"polygon: edge {_edge(first, count)} crosses or touches edge "
                     f"{_edge(second, count)}; give the points in order along a border that does "
@@ -280,15 +285,6 @@ def _check_simple(points: Array) -> None:
 
 def _edge(k: int, count: int) -> str:
     return f"{k + 1}-{(k + 1) % count + 1}"
-
-
-def _meet(points: Array, first: int, second: int) -> bool:
-    count = len(points)
-    a, b = points[first], points[(first + 1) % count]
-    c, d = points[second], points[(second + 1) % count]
-    if (np.maximum(a, b) < np.minimum(c, d)).any() or (np.maximum(c, d) < np.minimum(a, b)).any():
-        return False
-    return _side(a, b, c) * _side(a, b, d) <= 0 and _side(c, d, a) * _side(c, d, b) <= 0
 
 
 def _side(a: Array, b: Array, p: Array) -> float:

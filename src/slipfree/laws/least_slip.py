@@ -35,7 +35,18 @@ class LeastSlip:
 
     def unknowns(self, vehicle: Vehicle, constraints: tuple[Label, ...]) -> Multipliers:  # noqa: ARG002
         """Return the labels of the multipliers, one for each constraint."""
-        return Multipliers(tuple(_multiplier(each) for each in constraints))
+        units = {"m s-1": "m s-1", "1": "m2 s-2", "m": "m s-2"}
+        return Multipliers(
+            tuple(
+                Label(
+                    "multiplier" if each.wheel else f"multiplier_{each.name}",
+                    units[each.unit],
+                    f"multiplier of the {each.words}",
+                    each.wheel,
+                )
+                for each in constraints
+            )
+        )
 
     def equations(self, motion: Motion, unknowns: Multipliers) -> Equations:
         """Return the stationarity conditions with respect to rates and multipliers."""
@@ -89,12 +100,6 @@ def _linear_form(motion: Motion) -> tuple[ca.SX, ca.SX]:
 def linear_form(rows: ca.SX, rates: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return matrix and constant of expressions that are linear in rates."""
     return ca.jacobian(rows, rates), ca.substitute(rows, rates, ca.SX.zeros(rates.shape))
-
-
-def _multiplier(constraint: Label) -> Label:
-    name = "multiplier" if constraint.wheel else f"multiplier_{constraint.name}"
-    unit = {"m s-1": "m s-1", "1": "m2 s-2", "m": "m s-2"}[constraint.unit]
-    return Label(name, unit, f"multiplier of the {constraint.words}", constraint.wheel)
 
 
 def slip_unit(unit: str) -> str:

@@ -228,12 +228,24 @@ def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
         sizes = given_rates.command_sizes(vehicle, given)
         misses = ca.vertcat(*(size * error for size, error in zip(sizes, off, strict=True)))
         goal = ca.SX(0.5 * (ca.sumsqr(slip) + ERROR_WEIGHT * ca.sumsqr(misses)))
+    multipliers = [
+        replace(rate.label, name=f"response_{rate.label.name}") for rate in imposed.rates
+    ]
+    multipliers += [
+        Label(
+            f"multiplier_{name}",
+            slip_unit(given_rates.COMMANDS[name].unit),
+            f"multiplier of the given rate '{name}'; large where the wheels cannot impose it "
+            "together with the others: then remove it",
+        )
+        for name in met
+    ]
     motion = given_rates.minimum(
         direct,
         goal,
         ca.vertcat(*rows),
         (*imposed.rates, *u.wheels),
-        _multipliers(imposed, met),
+        multipliers,
         Label("inverse", "", "least slip at the given rates"),
     )
     closure, _, forces = blocks(direct)
@@ -261,20 +273,6 @@ def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
         return replace(dae, suppress_algebraic=True)
     check = given_rates.command_determinacy(direct, dae, met)
     return replace(dae, checks=(*dae.checks, check))
-
-
-def _multipliers(imposed: given_rates.Imposed, given: Sequence[str]) -> list[Label]:
-    """Return the labels of the multipliers of the direct model's equations and of given rates."""
-    labels = [replace(rate.label, name=f"response_{rate.label.name}") for rate in imposed.rates]
-    return labels + [
-        Label(
-            f"multiplier_{name}",
-            slip_unit(given_rates.COMMANDS[name].unit),
-            f"multiplier of the given rate '{name}'; large where the wheels cannot impose it "
-            "together with the others: then remove it",
-        )
-        for name in given
-    ]
 
 
 def steering_note(run: Trajectory) -> str:

@@ -281,6 +281,13 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     aligned = ca.vertcat(*((miss - c.normal * ca.dot(c.normal, miss))[:2] for c, miss in pairs))
     sampled, r = force_outputs(q, labels.y.forces), z.rates
     level = [*r[:2], r.heading, *base.joint_rates(q)]
+    holding: Holding | None = None
+    if vehicle.mass:  # the equilibrium of the sliding rates, whose normal forces are given
+        along, across, normal = (parts.free[k::3, groups[0]] for k in range(3))
+        rows = zip(ca.vertsplit(along), ca.vertsplit(across), strict=True)
+        matrix = ca.vertcat(*(row for pair in rows for row in pair))
+        load = normal.T @ pressed.load + parts.load[groups[0]] / parts.weight
+        holding = Holding(matrix, load, ca.vertcat(*parts.friction), pressed.load)
     lowest = ca.mmin(base.level_heights(q)[0]) - max(
         wheel.depth for wheel in vehicle.numeric.wheels
     )
@@ -307,7 +314,7 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
         suppress_algebraic=True,  # contacts and rates follow from the states
         rest=ca.vertcat(lowest, ca.SX.zeros(2 + len(position.suspension))),
         linear=law.linear,
-        holding=_holding(q, pressed, groups[0]) if vehicle.mass else None,
+        holding=holding,
         lag=lag,
         relaxation_time=relaxation_time(vehicle),
     )
@@ -319,16 +326,6 @@ def with_mass(vehicle: Vehicle) -> Vehicle:
         return vehicle
     x, y, z = vehicle.centers.mean(axis=0).tolist()
     return replace(vehicle, body=Body(1 / vehicle.gravity, (x, y, z)))
-
-
-def _holding(q: base.Quantities, pressed: Press, sliding: list[int]) -> Holding:
-    """Return the equilibrium of the sliding rates, whose normal forces are given."""
-    parts = q.mechanics
-    along, across, normal = (parts.free[k::3, sliding] for k in range(3))
-    pairs = zip(ca.vertsplit(along), ca.vertsplit(across), strict=True)
-    matrix = ca.vertcat(*(row for pair in pairs for row in pair))
-    load = normal.T @ pressed.load + parts.load[sliding] / parts.weight
-    return Holding(matrix, load, ca.vertcat(*parts.friction), pressed.load)
 
 
 def _labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:

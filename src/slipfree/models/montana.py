@@ -27,6 +27,7 @@ References
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -53,7 +54,7 @@ from slipfree.models.friction_feasibility import (
 from slipfree.models.kinematics import contact_labels, slip_equations
 from slipfree.models.limits import limits_of, tip_over_margin
 from slipfree.models.samples import slip_velocities
-from slipfree.terrain.base import Jet, Terrain
+from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
@@ -154,14 +155,11 @@ class Pair(NamedTuple):
 def pair(wheel: Wheel, terrain: Terrain, at: ContactCoordinates, lookups: LookupTable) -> Pair:
     """Return the surfaces of wheel and ground at a contact, in local coordinates."""
     tread = patch(wheel.section.point(at.u, at.v), ca.vertcat(at.u, at.v))
-    return Pair(tread, _ground(terrain.jet(at.x, at.y, lookups), at.x, at.y), at.psi)
-
-
-def _ground(jet: Jet, x: ca.SX, y: ca.SX) -> Patch:
-    h, (h_x, h_y), hessian = jet.height, ca.vertsplit(jet.gradient), jet.hessian
-    tangents = ca.vertcat(1, 0, h_x), ca.vertcat(0, 1, h_y)
+    height, gradient, hessian = terrain.jet(at.x, at.y, lookups)
+    tangents = ca.vertcat(1, 0, gradient[0]), ca.vertcat(0, 1, gradient[1])
     h_xx, h_xy, h_yy = (ca.vertcat(0, 0, hessian[k]) for k in (0, 1, 3))
-    return patch_of(ca.vertcat(x, y, h), tangents, (h_xx, h_xy, h_yy))
+    ground = patch_of(ca.vertcat(at.x, at.y, height), tangents, (h_xx, h_xy, h_yy))
+    return Pair(tread, ground, at.psi)
 
 
 def alignment(psi: ca.SX) -> ca.SX:
@@ -462,17 +460,14 @@ def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]
             "cross_check: expected two motions with the same sample times, found different times; "
             "simulate both with the same times"
         )
-    shared = [name for name in first if name in second.columns and name not in OF_SOLUTION]
-    shared = [name for name in shared if not name.endswith("_residual")]
-    return tuple(_difference(first, second, name, n) for name in shared)
-
-
-def _difference(first: Trajectory, second: Trajectory, name: str, n: int) -> Difference:
-    label = first.columns[name].label
-    gap: Array = np.abs(first[name][:n] - second[name][:n]).reshape(n, -1)
-    if label.unit == "rad":
-        gap = np.abs((gap + np.pi) % (2 * np.pi) - np.pi)
-    k, i = np.unravel_index(np.argmax(gap), gap.shape)
-    wheel = first.wheels[i] if first[name].ndim == 2 else None
-    place = Label(label.name, label.unit, label.words, wheel)
-    return Difference(place, float(gap[k, i]), float(first.t[k]))
+    differences = list[Difference]()
+    for name, (label, values) in first.columns.items():
+        if name not in second.columns or name in OF_SOLUTION or name.endswith("_residual"):
+            continue
+        gap: Array = np.abs(values[:n] - second[name][:n]).reshape(n, -1)
+        if label.unit == "rad":
+            gap = np.abs((gap + np.pi) % (2 * np.pi) - np.pi)
+        k, i = np.unravel_index(np.argmax(gap), gap.shape)
+        place = replace(label, wheel=first.wheels[i] if values.ndim == 2 else None)
+        differences.append(Difference(place, float(gap[k, i]), float(first.t[k])))
+    return tuple(differences)

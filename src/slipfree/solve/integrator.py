@@ -67,7 +67,12 @@ def integrate(
     None.
     """
     parts, counts, left = [first], dict.fromkeys(COUNTS, 0.0), 0
-    for right in (*_jump_indices(solver.system, t, u), t.size - 1):
+    # where an input jumps; a mere change of its slope is no jump
+    n = solver.system.dae.columns()[2].numel()
+    base, rise = u[:n], u[n:] if len(u) > n else np.zeros_like(u)
+    terms = [base[:, 1:], -base[:, :-1], rise[:, 1:] * t[1:-1], -rise[:, :-1] * t[1:-1]]
+    jumps = np.abs(np.sum(terms, axis=0)) > ROUNDING * np.abs(terms).sum(axis=0)
+    for right in (*(1 + np.flatnonzero(jumps.any(axis=0))).tolist(), t.size - 1):
         at = parts[-1].at([-1])
         if not np.array_equal(at.u[:, -1], u[:, left]):
             # after a jump, the unknowns that the new inputs require; else the integrator fails
@@ -99,16 +104,6 @@ def integrate(
         if end is not None:
             break
     return join_samples(parts), counts, end
-
-
-def _jump_indices(system: System, t: Array, u: Array) -> list[int]:
-    """Return the indices of the times at which an input jumps; a mere change of slope is none."""
-    n = system.dae.columns()[2].numel()
-    base, rise = u[:n], u[n:] if len(u) > n else np.zeros_like(u)
-    times = t[1:-1]
-    terms = np.array([base[:, 1:], -base[:, :-1], rise[:, 1:] * times, -rise[:, :-1] * times])
-    jumps = np.abs(terms.sum(axis=0)) > ROUNDING * np.abs(terms).sum(axis=0)
-    return (1 + np.flatnonzero(jumps.any(axis=0))).tolist()
 
 
 def _integrate_between_jumps(

@@ -128,7 +128,22 @@ def rollouts(
     """
     require("xarray")
     t = check_times(t)
-    states, values = _check_kinds(model, starts, inputs, processes)
+    if processes > 1 and isinstance(model, Dae):
+        raise ModelError(
+            f"model: expected a function for {processes} processes, found a model, which cannot be "
+            "sent to other processes; give a function at the level of a module that returns it"
+        )
+    values = {
+        name: each if isinstance(each, ca.SX | PiecewiseLinear) else np.asarray(each, dtype=float)
+        for name, each in inputs.items()
+    }
+    states: list[Trajectory] | dict[str, Array]
+    if isinstance(starts, Mapping):
+        states = {name: np.asarray(each, dtype=float) for name, each in starts.items()}
+    elif not (states := [*starts] if isinstance(starts, Sequence) else [starts]):
+        raise ModelError(
+            "starts: expected a trajectory for each run, found none; give at least one"
+        )
     parameters = {name: np.asarray(each) for name, each in (p or {}).items()}
     count = _count_runs(parameters, states, values, t.size - 1)
     if isinstance(model, Dae) and parameters:
@@ -161,7 +176,13 @@ def rollouts(
         for task in tasks:
             table.add(execute(common, task))
     elif tasks:
-        function = _pickled(model)
+        try:
+            function = pickle.dumps(model)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise ModelError(
+                "model: expected a function at the level of a module, or functools.partial of one, "
+                f"that can be sent to other processes; found {model!r}: {error}"
+            ) from error
         parts = ((function, common.part(task), execute, task) for task in tasks)
         with local_tasks(_execute_part, processes) as finish:
             for done in finish(parts, lambda: None):
@@ -229,29 +250,6 @@ class _Results(NamedTuple):
     errors: Array | None = None
 
 
-def _check_kinds(
-    model: Model, starts: Any, inputs: Mapping[str, Any], processes: int
-) -> tuple[list[Trajectory] | dict[str, Array], dict[str, Any]]:
-    """Return starts and inputs as a list or dictionaries; raise ModelError for other types."""
-    if processes > 1 and isinstance(model, Dae):
-        raise ModelError(
-            f"model: expected a function for {processes} processes, found a model, which cannot be "
-            "sent to other processes; give a function at the level of a module that returns it"
-        )
-    values = {
-        name: each if isinstance(each, ca.SX | PiecewiseLinear) else np.asarray(each, dtype=float)
-        for name, each in inputs.items()
-    }
-    if isinstance(starts, Mapping):
-        return {name: np.asarray(each, dtype=float) for name, each in starts.items()}, values
-    states = [*starts] if isinstance(starts, Sequence) else [starts]
-    if not states:
-        raise ModelError(
-            "starts: expected a trajectory for each run, found none; give at least one"
-        )
-    return states, values
-
-
 def _count_runs(
     parameters: Mapping[str, Array],
     states: list[Trajectory] | dict[str, Array],
@@ -295,13 +293,6 @@ def _count_runs(
 
 def _of_run(values: Array, k: int) -> Any:
     return values.reshape(-1)[k if values.size > 1 else 0].item()
-
-
-def _inputs_of_run(values: Any, k: int) -> Any:
-    if not isinstance(values, np.ndarray) or values.ndim == 0:
-        return values
-    row = values if values.ndim == 1 else values[k if len(values) > 1 else 0]
-    return float(row[0]) if row.size == 1 else row
 
 
 def _simulate_runs(common: _Common, numbers: Array) -> list[_Results]:
@@ -372,7 +363,12 @@ def _built(model: Callable[..., Dae], parameters: tuple[tuple[str, Any], ...]) -
 def _simulated(common: _Common, k: int) -> _Results:
     """Return the simulated run k, or the outcome and the message of its failure."""
     dae, number = common.model_of(k), np.array([k])
-    inputs = dae.inputs(**{name: _inputs_of_run(each, k) for name, each in common.inputs.items()})
+    values = dict[str, Any](common.inputs)
+    for name, each in values.items():
+        if isinstance(each, np.ndarray) and each.ndim:
+            row = each if each.ndim == 1 else each[k if len(each) > 1 else 0]
+            values[name] = float(row[0]) if row.size == 1 else row
+    inputs = dae.inputs(**values)
 
     def failed(error: Exception) -> _Results:
         return _Results(number, {}, (), [FAILED], [str(error)], np.full(1, np.nan))
@@ -395,9 +391,9 @@ def _simulated(common: _Common, k: int) -> _Results:
     for name in motion if common.quantities is None else common.quantities:
         motion[name]  # raises ModelError for an unknown name
         label, samples = motion.columns[name]
-        values = np.full((1, common.t.size, *samples.shape[1:]), np.nan)
-        values[0, : rows.sum()] = samples[rows]
-        columns[name] = Column(label, values)
+        column = np.full((1, common.t.size, *samples.shape[1:]), np.nan)
+        column[0, : rows.sum()] = samples[rows]
+        columns[name] = Column(label, column)
     end = np.array([motion.t[-1]])
     return _Results(number, columns, motion.wheels, [outcome], [words], end)
 
@@ -447,16 +443,6 @@ class _Table:
             variables["error"] = "run", self.errors, words
         dataset: xarray.Dataset = require("xarray").Dataset(variables, coordinates, attributes)
         return dataset
-
-
-def _pickled(model: Model) -> bytes:
-    try:
-        return pickle.dumps(model)
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise ModelError(
-            "model: expected a function at the level of a module, or functools.partial of one, "
-            f"that can be sent to other processes; found {model!r}: {error}"
-        ) from error
 
 
 @lru_cache(maxsize=1)

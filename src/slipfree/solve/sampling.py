@@ -211,7 +211,7 @@ def complete_samples(
     for block, left in zip(system.blocks, lefts, strict=True):
         report[f"{block.labels[0].name}_residual"] = _block_residual(system, block, left)
     if system.dependent_blocks:
-        z[n:] = evaluate(_guess_function(system.dae), samples.x)[0][n:]
+        z[n:] = evaluate(guess_function(system.dae), samples.x)[0][n:]
     for block in system.dependent_blocks:
         z, _, rest = _correct_block(block, samples._replace(z=z))
         report[f"{block.labels[0].name}_residual"] = _block_residual(system, block, rest)
@@ -219,7 +219,8 @@ def complete_samples(
 
 
 @lru_cache(maxsize=8)
-def _guess_function(dae: Dae) -> ca.Function:
+def guess_function(dae: Dae) -> ca.Function:
+    """Return the initial guess of ``z`` as a function of ``x``; cached."""
     return dae.function("guess", [dae.columns()[0]], [ca.densify(dae.guess)])
 
 
@@ -266,8 +267,13 @@ def _group_by_quantity(
         *leaves(dae.labels[:5]),
         *(limit.label for limit in dae.limits),
         *(check.label for check in dae.checks),
-        *(_report_label(dae, name) for name in report),
     ]
+    units = {f"{each[0].name}_residual": each[0].unit for each in dae.labels.alg if each}
+    for name in report:
+        equations = name.removesuffix("_residual")
+        words = f"largest residual of equations {equations!r} after Newton steps"
+        own = quantity_label(name, stride=STRIDE) if name in QUANTITIES else None
+        labels.append(own or Label(name, units.get(name, "m"), words))
     groups: dict[str, dict[str | None, int]] = {}
     for row, label in enumerate(labels):
         if label.name in AXIS_NAMES:
@@ -292,14 +298,6 @@ def _group_by_quantity(
             label = Label(name, label.unit, words)
         found.append((label, rows, None not in group))
     return tuple(found), wheels
-
-
-def _report_label(dae: Dae, name: str) -> Label:
-    if name in QUANTITIES:
-        return quantity_label(name, stride=STRIDE)
-    units = {f"{labels[0].name}_residual": labels[0].unit for labels in dae.labels.alg if labels}
-    words = f"largest residual of equations {name.removesuffix('_residual')!r} after Newton steps"
-    return Label(name, units.get(name, "m"), words)
 
 
 def periodic_states(dae: Dae, x: Array, limits: Iterable[Limit] = ()) -> Mask:

@@ -20,6 +20,7 @@ from slipfree.core.newton import solve_linear
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.solve.initial_conditions import WEAK_SINGULAR_VALUE, linearized
+from slipfree.solve.sampling import guess_function
 from slipfree.solve.simulate import consistent_start, simulate
 from slipfree.solve.system import SolverOptions, with_inputs
 from slipfree.system.forks import computing
@@ -248,7 +249,7 @@ def _one_sample(dae: Dae, x: Array, first: Array, options: SolverOptions) -> Tra
 
 def first_guess(dae: Dae, x: Array, given: Mapping[str, float]) -> Array:
     """Return an initial guess of ``z`` in local coordinates; ``given`` is in map coordinates."""
-    z = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(x)).ravel()
+    z = np.array(guess_function(dae)(x)).ravel()
     names = [label.full for label in leaves(dae.labels.z)]
     for name, value in given.items():
         if name not in names:

@@ -434,7 +434,16 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         follows = [ca.depends_on(each, z[count:]) for each in law]
         late = (v for v, each in zip(leaves(dae.u), follows, strict=True) if each)
         following = ca.vertcat(z[count:], *late)
-        quad, margin = watched[0], _limit_margin(dae, watched[1], following)
+        quad, margin = watched[0], ca.SX(np.inf)
+        pairs = zip(dae.limits, ca.vertsplit(watched[1]) if dae.limits else [], strict=True)
+        for limit, value in pairs:
+            size = dae.size_of(limit.label)
+            if ca.depends_on(value, following):
+                continue
+            if np.isfinite(limit.lower):
+                margin = ca.fmin(margin, (value - limit.lower) / size)
+            if np.isfinite(limit.upper):
+                margin = ca.fmin(margin, (limit.upper - value) / size)
         if not solves:
             if not ca.depends_on(quad, following):
                 return watch(True)
@@ -503,19 +512,6 @@ def _solve_symbolically(block: Block, point: list[ca.MX]) -> ca.MX:
     }
     solver = ca.rootfinder("following", "newton", problem, options)
     return ca.vertcat(before, solver(x0=guess, p=given)["x"], rest)
-
-
-def _limit_margin(dae: Dae, bounds: ca.SX, following: ca.SX) -> ca.SX:
-    least = ca.SX(np.inf)
-    for limit, value in zip(dae.limits, ca.vertsplit(bounds) if dae.limits else [], strict=True):
-        if ca.depends_on(value, following):
-            continue
-        size = dae.size_of(limit.label)
-        if np.isfinite(limit.lower):
-            least = ca.fmin(least, (value - limit.lower) / size)
-        if np.isfinite(limit.upper):
-            least = ca.fmin(least, (limit.upper - value) / size)
-    return least
 
 
 def check_law(dae: Dae, label: Label, law: ca.SX) -> ca.SX:

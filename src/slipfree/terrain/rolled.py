@@ -63,7 +63,9 @@ def rolled(grid: Grid, radius: float) -> Changed:
             f"rolled: radius must be at most {extent / 2 / BALL:.4g} m, a third of the ground's "
             f"extent of {extent:.4g} m, found {radius:g} m; use a larger ground or a smaller radius"
         )
-    x, y = (_refine_axis(axis, radius / NODES) for axis in (grid.x, grid.y))
+    cells = (math.ceil(np.ptp(axis) / (radius / NODES) - 1e-9) for axis in (grid.x, grid.y))
+    counts = zip((grid.x, grid.y), cells, strict=True)
+    x, y = (np.linspace(axis[0], axis[-1], max(n, 3) + 1) for axis, n in counts)
     old = Bicubic(grid).elevation(x[:, None], y[None, :])
     steps = (float(x[1] - x[0]), float(y[1] - y[0]))
     new = averaged(_close_by_ball(old, steps, BALL * radius), steps, BLUR * radius)
@@ -72,12 +74,6 @@ def rolled(grid: Grid, radius: float) -> Changed:
         for nodes in (grid.filled, grid.holes)
     )
     return Changed(Grid(x, y, new, filled, holes), Grid(x, y, new - old, holes=holes))
-
-
-def _refine_axis(axis: Array, spacing: float) -> Array:
-    """Return a uniform axis with the same ends and a step of at most ``spacing``."""
-    cells = math.ceil(np.ptp(axis) / spacing - 1e-9)
-    return np.linspace(axis[0], axis[-1], max(cells, 3) + 1)
 
 
 def _close_by_ball(z: Array, steps: tuple[float, float], radius: float) -> Array:
