@@ -34,10 +34,9 @@ from slipfree.control.path_following import path_inputs
 from slipfree.models.given_rates import EULER, PLANAR, VELOCITY, conditions
 from slipfree.models.inverse import inverse_kinematics, steering_note
 from slipfree.solve.collocation import drive
-from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.replay import replay, spline_inputs
 from slipfree.solve.sampling import Samples, to_trajectory
-from slipfree.solve.system import with_inputs
+from slipfree.solve.system import solve_initial_conditions, with_inputs
 
 VEHICLE = three_wheeler(mass=0.0, wheel_mass=0.0)  # no forces: the motion alone
 SEED, POSES = 20261121, 150

@@ -10,8 +10,7 @@ import slipfree as sf
 from helpers.cases import hills
 from slipfree.catalog import three_wheeler
 from slipfree.core.records import leaves
-from slipfree.solve.initial_conditions import solve_initial_conditions
-from slipfree.solve.system import with_inputs
+from slipfree.solve.system import solve_initial_conditions, with_inputs
 
 RATES = {"right_rate": 0.45, "left_rate": 0.44, "steer_rate": 0.0}
 UNEQUAL = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.1}

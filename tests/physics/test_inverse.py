@@ -27,10 +27,9 @@ from slipfree.control.path_following import path_inputs
 from slipfree.models.given_rates import EULER, OMEGA, PLANAR, VELOCITY, conditions, omega
 from slipfree.models.inverse import inverse_kinematics, steering_note, steering_slip
 from slipfree.solve.collocation import drive
-from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.replay import replay, spline_inputs
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
-from slipfree.solve.system import with_inputs
+from slipfree.solve.system import solve_initial_conditions, with_inputs
 from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.wheel import Wheel
 

@@ -257,25 +257,20 @@ def legs(climber: Vehicle, profile: Profile) -> tuple[Leg, ...]:
         if met is None:
             return tuple(found)
         q = leg.curve(np.array([leg.length]))[:, 0]
-        axle, solids, q = _behind_kink(climber, profile, q, solids, met)
-
-
-def _behind_kink(
-    climber: Vehicle, profile: Profile, q: Array, solids: Solids, met: tuple[int, int]
-) -> tuple[str, Solids, Array]:
-    """Return climbing axle, solids and configuration behind a kink; several wheels may meet."""
-    for _ in range(len(AXLES) * len(profile.solids)):
-        axle, solid = met
-        solids = tuple(solid if i == axle else below for i, below in enumerate(solids))
-        path = _path(climber, profile, solids)
-        q = path.touching(q[:, None])[:, 0]
-        _, gaps, rates, _ = path.at(q)
-        meeting = (gaps < MAX_CONTACT_GAP) & (rates < -MIN_CLOSING_SPEED)
-        if not meeting.any():
-            return AXLES[axle], solids, q
-        i, k = np.argwhere(meeting)[0]
-        met = int(i), int(k)
-    raise ModelError(_stuck_words(AXLES[met[0]], q, "a wheel is caught between two solids"))
+        for _ in range(len(AXLES) * len(profile.solids)):  # several wheels may meet at a kink
+            axle, solid = AXLES[met[0]], met[1]
+            solids = tuple(solid if i == met[0] else below for i, below in enumerate(solids))
+            path = _path(climber, profile, solids)
+            q = path.touching(q[:, None])[:, 0]
+            _, gaps, rates, _ = path.at(q)
+            meeting = (gaps < MAX_CONTACT_GAP) & (rates < -MIN_CLOSING_SPEED)
+            if not meeting.any():
+                break
+            i, k = np.argwhere(meeting)[0]
+            met = int(i), int(k)
+        else:
+            caught = "a wheel is caught between two solids"
+            raise ModelError(_stuck_words(AXLES[met[0]], q, caught))
 
 
 def _march(
@@ -651,7 +646,18 @@ def tracked_plan(plans: Sequence[tuple[Climb, Array]]) -> TrackedPlan:
     with ``halt=True``. ModelError is raised if a path leads down so steeply that the progress does
     not increase.
     """
-    p, *rest = (np.concatenate(each) for each in zip(*map(_leg, plans), strict=True))
+    rows = list[tuple[Array, ...]]()  # the fields of each leg, at its nodes and midpoints
+    for plan, unknowns in plans:
+        nodes, middles, torque = plan.nodes, plan.middles, history(plan, unknowns).torque
+        square = np.maximum(unknowns[plan.nlp.where["b"]], 0)
+        at_nodes = np.column_stack([np.interp(nodes.s, middles.s, each) for each in torque.T])
+        parts, between = [], (square[1:] + square[:-1]) / 2
+        for path, squares, torques in (nodes, square, at_nodes), (middles, between, torque):
+            directions = np.arctan2(-path.normals[..., 0], path.normals[..., 1])
+            parts.append((progress(path), squares, path.speeds, directions, torques))
+        order = np.argsort(np.concatenate([nodes.s, middles.s]))
+        rows.append(tuple(np.concatenate(pair)[order] for pair in zip(*parts, strict=True)))
+    p, *rest = (np.concatenate(each) for each in zip(*rows, strict=True))
     joints = np.cumsum([2 * plan.nodes.s.size - 1 for plan, _ in plans])[:-1]
     p[joints] = np.maximum(p[joints], p[joints - 1] + LEG_DISTANCE)
     if not (np.diff(p) > 0).all():
@@ -661,20 +667,6 @@ def tracked_plan(plans: Sequence[tuple[Climb, Array]]) -> TrackedPlan:
             f"decrease at {p[k]:.3g} m; use a plan that does not lead steeply down"
         )
     return TrackedPlan(p, *rest)
-
-
-def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
-    """Return the fields of `TrackedPlan` for one leg, at its nodes and interval midpoints."""
-    plan, unknowns = plan_and_unknowns
-    nodes, middles, torque = plan.nodes, plan.middles, history(plan, unknowns).torque
-    square = np.maximum(unknowns[plan.nlp.where["b"]], 0)
-    at_nodes = np.column_stack([np.interp(nodes.s, middles.s, each) for each in torque.T])
-    parts, between = [], (square[1:] + square[:-1]) / 2
-    for path, squares, torques in (nodes, square, at_nodes), (middles, between, torque):
-        directions = np.arctan2(-path.normals[..., 0], path.normals[..., 1])
-        parts.append((progress(path), squares, path.speeds, directions, torques))
-    order = np.argsort(np.concatenate([nodes.s, middles.s]))
-    return tuple(np.concatenate(pair)[order] for pair in zip(*parts, strict=True))
 
 
 def progress(path: PathSamples) -> Array:

@@ -109,8 +109,7 @@ from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism, Solids
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
-from slipfree.vehicle.tree import Coordinate, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Vehicle
 
 MAX_POINTS = 200  # each adds a lookup of the ground
 
@@ -258,10 +257,28 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) ->
     still = labels_of(vehicle, follow=False)
     q = still.q._replace(lost=(quantity_label("lost_energy"),))
     joints = zip(vehicle.of("commanded"), still.u.joints, strict=True)
+    wheels = list[Label]()
+    for wheel in vehicle.wheels:
+        name, words = wheel.name, f"wheel {wheel.name}, positive forward"
+        if wheel.driven and wheel.drive.takes_effort:
+            wheels.append(Label(f"{name}_torque", "N m", f"torque on {words}"))
+        elif wheel.driven:
+            wheels.append(Label(f"{name}_rate", "rad s-1", f"rate of {words}"))
     u = Inputs(
-        tuple(_wheel_input(wheel) for wheel in vehicle.wheels if wheel.driven),
+        tuple(wheels),
         tuple(effort_label(vehicle, c) if c.drive.takes_effort else rate for c, rate in joints),
     )
+    along, on_solids = "along the direction of travel", list[OnSolid]()
+    for k in range(solids + 1 if solids else 0):
+        name = f"solid {k}" if k else "the ground"
+        rows = (
+            ("gap", "m", f"gap between the wheel and {name}"),
+            ("load", "N", f"normal force of {name} on the wheel"),
+            ("friction", "N", f"friction of {name} on the wheel {along}"),
+            ("slip", "m s-1", f"slip of the wheel on {name} {along}"),
+        )
+        each = (wheel_labels(vehicle, f"solid_{q}_{k}", *others) for q, *others in rows)
+        on_solids.append(OnSolid(*each))
     position, rates = still.z.position, still.z.rates
     forces: Any = still.y.forces
     forces = forces._replace(joint_effort=output_efforts(vehicle, forces.joint_effort))
@@ -277,7 +294,7 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) ->
         quantity_label("kinetic_energy"),
         quantity_label("contact_energy"),
         (quantity_label("body_load"),) if bears else (),
-        tuple(_solid_labels(vehicle, k) for k in range(solids + 1 if solids else 0)),
+        tuple(on_solids),
     )
     return Labels(_state_labels(vehicle, still), (), q, u, y, ())
 
@@ -296,13 +313,6 @@ def _outputs(
     return DynamicOutputs(x.x if vehicle.planar else (), *angles, *turning, *places, *others)
 
 
-def _wheel_input(wheel: Wheel) -> Label:
-    words = f"wheel {wheel.name}, positive forward"
-    if wheel.drive.takes_effort:
-        return Label(f"{wheel.name}_torque", "N m", f"torque on {words}")
-    return Label(f"{wheel.name}_rate", "rad s-1", f"rate of {words}")
-
-
 def _integral(name: str, unit: str) -> Label:
     return Label(f"{name}_motor_integral", unit, f"integral of the controller of {name}")
 
@@ -315,6 +325,11 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
     turning = "angular velocity of the platform about"
     omega = tuple(Label(f"omega_{axis}", "rad s-1", f"{turning} {axis}") for axis in "xyz")
     velocity, planar = tuple(still.z.rates[:3]), vehicle.planar
+    speeds = list[Label]()
+    for c in vehicle.coordinates:
+        name, rate = ("speed", "actual rate") if c.kind == "commanded" else ("rate", "rate")
+        unit = f"{vehicle.unit(c.name)} s-1"
+        speeds.append(Label(f"{c.name}_{name}", unit, f"{rate} of {c.words}"))
     return DynamicState(
         () if planar else still.x.x,
         still.x.y,
@@ -323,7 +338,7 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
         tuple(joints[c.name] for c in vehicle.coordinates),
         velocity[1:] if planar else velocity,
         omega[:1] if planar else omega,
-        tuple(_joint_speed(vehicle, c) for c in vehicle.coordinates),
+        tuple(speeds),
         quantity_labels(vehicle, "spin"),
         tuple(
             _integral(each.name, "N m") for each in vehicle.wheels if each.acting_drive.has_integral
@@ -333,18 +348,6 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
             for c in vehicle.coordinates
             if c.acting_drive.has_integral
         ),
-    )
-
-
-def _solid_labels(vehicle: Vehicle, k: int) -> OnSolid:
-    along, name = "along the direction of travel", f"solid {k}" if k else "the ground"
-    return OnSolid(
-        wheel_labels(vehicle, f"solid_gap_{k}", "m", f"gap between the wheel and {name}"),
-        wheel_labels(vehicle, f"solid_load_{k}", "N", f"normal force of {name} on the wheel"),
-        wheel_labels(
-            vehicle, f"solid_friction_{k}", "N", f"friction of {name} on the wheel {along}"
-        ),
-        wheel_labels(vehicle, f"solid_slip_{k}", "m s-1", f"slip of the wheel on {name} {along}"),
     )
 
 
@@ -360,11 +363,6 @@ def output_efforts(vehicle: Vehicle, efforts: Sequence[T]) -> tuple[T, ...]:
     """Return the efforts of those commanded coordinates whose efforts are outputs, not inputs."""
     pairs = zip(vehicle.of("commanded"), efforts, strict=True)
     return tuple(effort for c, effort in pairs if not c.drive.takes_effort)
-
-
-def _joint_speed(vehicle: Vehicle, c: Coordinate) -> Label:
-    name, words = ("speed", "actual rate") if c.kind == "commanded" else ("rate", "rate")
-    return Label(f"{c.name}_{name}", f"{vehicle.unit(c.name)} s-1", f"{words} of {c.words}")
 
 
 class Contact(NamedTuple):
@@ -476,7 +474,20 @@ def quantities(moving: MovingVehicle, contacts: Sequence[Contact]) -> Quantities
     damped = sum(c.damping * rate**2 for c, _, rate in loaded)
     none, friction = ca.SX(0, 0), tuple(each.touch.friction for each in contacts)
     energy = ca.SX(vehicle.gravity * height + springs)
-    rates = _rates(vehicle, x, place, position.roll)
+    across_heading, along_heading = ca.cos(place.heading), ca.sin(place.heading)
+    omega_x, omega_y, omega_z = x.omega
+    pitch_rate = (across_heading * omega_x + along_heading * omega_y) / ca.cos(position.roll)
+    kinds = list(zip(vehicle.coordinates, x.joint_speeds, strict=True))
+    rates = Rates(
+        *x.velocity,
+        omega_z + ca.sin(position.roll) * pitch_rate,
+        across_heading * omega_y - along_heading * omega_x,
+        pitch_rate,
+        tuple(rate for c, rate in kinds if c.kind == "suspension"),
+        tuple(rate for c, rate in kinds if c.kind == "passive"),
+        (),
+        (),
+    )
     state = VehicleState(vehicle, terrain, lookups, place, position, rates, u)
     return Quantities(
         *state,
@@ -487,26 +498,6 @@ def quantities(moving: MovingVehicle, contacts: Sequence[Contact]) -> Quantities
         tuple(wheel.rate for wheel in body.wheels),
         Mechanics(none, none, none, none, friction, vehicle.weight, energy, ca.SX(damped)),
         tip_over_margin(state, frames),
-    )
-
-
-def _rates(vehicle: Vehicle, x: DynamicState, place: Configuration, roll: ca.SX) -> Rates:
-    """Return the rates of the coordinates of kinematic models."""
-    across, along = ca.cos(place.heading), ca.sin(place.heading)
-    omega_x, omega_y, omega_z = x.omega
-    pitch_rate = (across * omega_x + along * omega_y) / ca.cos(roll)
-    kinds = list(zip(vehicle.coordinates, x.joint_speeds, strict=True))
-    return Rates(
-        x.velocity[0],
-        x.velocity[1],
-        x.velocity[2],
-        omega_z + ca.sin(roll) * pitch_rate,
-        across * omega_y - along * omega_x,
-        pitch_rate,
-        tuple(rate for c, rate in kinds if c.kind == "suspension"),
-        tuple(rate for c, rate in kinds if c.kind == "passive"),
-        (),
-        (),
     )
 
 
@@ -535,7 +526,17 @@ def dynamic_outputs(
     o_x, o_y, _ = q.terrain.origin
     normal, wheels = q.forces.normal, contacts.wheels
     slips = tuple(ca.if_else(each.touch.gap < 0, each.slip, 0) for each in shown)
-    q = q._replace(slips=slips)
+    q, solids = q._replace(slips=slips), list[OnSolid]()
+    for touching in zip(*wheels, strict=True) if len(wheels[0]) > 1 else ():
+        frames = [each.touch.frame for each in touching]
+        vectors = [each.force.tangential for each in touching], [each.slip for each in touching]
+        solids.append(
+            OnSolid(
+                tuple(each.touch.gap for each in touching),
+                tuple(each.force.normal for each in touching),
+                *(tangential_components(frames, each)[0] for each in vectors),
+            )
+        )
     return _outputs(
         q.vehicle,
         (q.x, q.position, q.rates),
@@ -549,17 +550,7 @@ def dynamic_outputs(
         kinetic_energy(body),
         sum((each.energy for each in contacts.all), ca.SX(0)),
         (sum(each.force.normal for each in contacts.bodies),) if contacts.bodies else (),
-        tuple(map(_on_solid, zip(*wheels, strict=True))) if len(wheels[0]) > 1 else (),
-    )
-
-
-def _on_solid(contacts: Sequence[Contact]) -> OnSolid:
-    frames = [each.touch.frame for each in contacts]
-    return OnSolid(
-        tuple(each.touch.gap for each in contacts),
-        tuple(each.force.normal for each in contacts),
-        tangential_components(frames, [each.force.tangential for each in contacts])[0],
-        tangential_components(frames, [each.slip for each in contacts])[0],
+        tuple(solids),
     )
 
 

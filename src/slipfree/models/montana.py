@@ -283,7 +283,21 @@ def montana_kinematics(
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
     slip.check(vehicle)
-    _check(vehicle)
+    remedy = "use formulation = 'closure' with least slip, which presses the wheels into the ground"
+    check_exact_closure(vehicle, "Montana's form", remedy)
+    rollers = [wheel.name for wheel in vehicle.wheels if wheel.rollers]
+    if rollers:
+        raise ModelError(
+            "Montana's form: expected wheels without rollers, found rollers on "
+            f"{', '.join(map(repr, rollers))}; use formulation = 'closure', the default"
+        )
+    for wheel in vehicle.wheels:
+        if float(wheel.section.tread_radius(ca.SX(0), ca.SX(1))) == 0:
+            raise ModelError(
+                f"Montana's form: wheel {wheel.name!r}: expected a tread with a positive "
+                "radius of curvature, such as a torus with r1 > 0, found the edge of "
+                f"{wheel.section}; use formulation = 'closure', which allows edges"
+            )
     labels = _assembly_labels(
         base.labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle))), vehicle
     )
@@ -355,24 +369,6 @@ def montana_kinematics(
         guess=base.at_rest(vehicle, labels.z),
         suppress_algebraic=True,
     )
-
-
-def _check(vehicle: Vehicle) -> None:
-    remedy = "use formulation = 'closure' with least slip, which presses the wheels into the ground"
-    check_exact_closure(vehicle, "Montana's form", remedy)
-    rollers = [wheel.name for wheel in vehicle.wheels if wheel.rollers]
-    if rollers:
-        raise ModelError(
-            "Montana's form: expected wheels without rollers, found rollers on "
-            f"{', '.join(map(repr, rollers))}; use formulation = 'closure', the default"
-        )
-    for wheel in vehicle.wheels:
-        if float(wheel.section.tread_radius(ca.SX(0), ca.SX(1))) == 0:
-            raise ModelError(
-                f"Montana's form: wheel {wheel.name!r}: expected a tread with a positive "
-                "radius of curvature, such as a torus with r1 > 0, found the edge of "
-                f"{wheel.section}; use formulation = 'closure', which allows edges"
-            )
 
 
 def _assembly_labels(labels: Labels, vehicle: Vehicle) -> Labels:

@@ -23,9 +23,8 @@ from slipfree.plan.transcription import (
     variable_layout,
 )
 from slipfree.solve.collocation import radau_basis
-from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
-from slipfree.solve.system import with_inputs
+from slipfree.solve.system import solve_initial_conditions, with_inputs
 
 SAME_STATE_DISTANCE = 1e-6  # largest distance of states that count as equal [m, rad]
 FRACTION_TOLERANCE = 1e-12  # relative difference of times that count as equal

@@ -17,9 +17,8 @@ from slipfree.core.errors import ModelError
 from slipfree.core.lookups import evaluate, run_buffered
 from slipfree.core.records import Array
 from slipfree.core.trajectory import NO_START, SolverError, sundials_words
-from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.sampling import Samples, integrate_samples, join_samples
-from slipfree.solve.system import Method, System, scaled_jacobian
+from slipfree.solve.system import Method, System, scaled_jacobian, solve_initial_conditions
 from slipfree.system.interrupt import InterruptGuard, check_interrupt
 
 ARGUMENTS, RESULTS = ("x0", "z0", "u"), ("xf", "zf", "qf")  # names of CasADi

@@ -12,11 +12,10 @@ from slipfree.core.dae import Dae
 from slipfree.core.records import Array, Record, leaves, unpack
 from slipfree.core.trajectory import Trajectory, joined
 from slipfree.geometry.path import spline_function
-from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.sampling import Samples, correct_samples, periodic_states, same_turn
 from slipfree.solve.settle import settle_at
 from slipfree.solve.simulate import consistent_start, simulate
-from slipfree.solve.system import SolverOptions, with_inputs
+from slipfree.solve.system import SolverOptions, solve_initial_conditions, with_inputs
 
 MAX_EVALUATIONS = 50  # maximum number of evaluations per state to find
 TRIM_TOLERANCE = 1e-13  # relative change at which states count as found

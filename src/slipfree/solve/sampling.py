@@ -16,8 +16,7 @@ from slipfree.core.newton import solve_linear
 from slipfree.core.quantities import QUANTITIES, quantity_label
 from slipfree.core.records import Array, Label, Mask, leaves
 from slipfree.core.trajectory import Column, SolverError, Trajectory
-from slipfree.solve.initial_conditions import solve_initial_conditions
-from slipfree.solve.system import Block, System
+from slipfree.solve.system import Block, System, solve_initial_conditions
 
 AXIS_NAMES = ("time", "wheel")  # dimensions of results, reserved names
 

@@ -19,10 +19,9 @@ from slipfree.core.lookups import evaluate
 from slipfree.core.newton import solve_linear
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import SolverError, Trajectory
-from slipfree.solve.initial_conditions import WEAK_SINGULAR_VALUE, linearized
 from slipfree.solve.sampling import guess_function
 from slipfree.solve.simulate import consistent_start, simulate
-from slipfree.solve.system import SolverOptions, with_inputs
+from slipfree.solve.system import WEAK_SINGULAR_VALUE, SolverOptions, linearized, with_inputs
 from slipfree.system.forks import computing
 
 RELAXATION_TIME = 20.0  # duration of the relaxation to the equilibrium of a start [s]

@@ -31,7 +31,6 @@ from slipfree.core.trajectory import (
     joined,
     sundials_words,
 )
-from slipfree.solve.initial_conditions import UnsolvedError, solve_initial_conditions
 from slipfree.solve.integrator import (
     COUNTS,
     EarlyEnd,
@@ -52,7 +51,14 @@ from slipfree.solve.sampling import (
     join_samples,
     to_trajectory,
 )
-from slipfree.solve.system import SolverOptions, System, check_law, with_inputs
+from slipfree.solve.system import (
+    SolverOptions,
+    System,
+    UnsolvedError,
+    check_law,
+    solve_initial_conditions,
+    with_inputs,
+)
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import InterruptGuard, check_interrupt
 

@@ -142,12 +142,7 @@ class DerivativeBounds(dict[tuple[int, int, float], Array]):
         bounds = np.full((2, x.size), np.inf)
         at = np.stack([x[inside], y[inside]]) - np.reshape(self._corner, (2, 1))
         cells = np.floor(at / np.reshape(self._spacing(reach), (2, 1))).astype(int)
-        bounds[:, inside] = self._of(cells, reach)
-        return bounds
-
-    def _of(self, cells: Array, reach: float) -> Array:
-        """Return the bounds of n cells, whose indices have the shape (2, n); shape (2, n)."""
-        bounds, (a, b) = np.empty(cells.shape), cells // self._side
+        found, (a, b) = np.empty(cells.shape), cells // self._side
         blocks = SPAN * a + b
         for number in np.unique(blocks):
             here = np.flatnonzero(blocks == number)
@@ -158,7 +153,8 @@ class DerivativeBounds(dict[tuple[int, int, float], Array]):
                 known = self._compute(*key)
                 self[key] = np.full((2, self._side, self._side), np.inf)
                 self[key][:, : known.shape[1], : known.shape[2]] = known
-            bounds[:, here] = self[key][:, *cells[:, here] % self._side]
+            found[:, here] = self[key][:, *cells[:, here] % self._side]
+        bounds[:, inside] = found
         return bounds
 
     def known(self, reach: float, origin: tuple[float, float, float]) -> CellBounds:

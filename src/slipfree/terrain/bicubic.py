@@ -416,11 +416,9 @@ def _gather_function(table: Array) -> ca.Function:
 
     It maps integers ``[i, j]`` to ``table[i : i + 4, j : j + 4]`` as a column; i changes fastest.
     """
-    columns = np.ascontiguousarray(table.T)
-    run = (
-        4 if table.size <= MAX_FOURFOLD_SIZE else 1
-    )  # neighbours are stored together: 4 lookups instead of 16
-    runs = np.lib.stride_tricks.sliding_window_view(columns, run, axis=1)
+    # neighbours along i are stored together: 4 lookups instead of 16
+    run = 4 if table.size <= MAX_FOURFOLD_SIZE else 1
+    runs = sliding_window_view(np.ascontiguousarray(table.T), run, axis=1)
     axes = [list(range(runs.shape[1])), list(range(runs.shape[0]))]
     # a linear interpolant returns the exact values at its nodes
     exact = {"lookup_mode": ["exact", "exact"]}

@@ -106,12 +106,17 @@ def facts_of(plan: Plan | LongPlan, setup: plan_setup.Planning) -> dict[str, Fac
     """Return the facts of a plan: iterations, times, costs, differences and violations."""
     times = [stage.seconds for stage in plan.stages]
     is_limited = plan.accurate and any(stage.status == TIME_STATUS for stage in plan.stages)
+    differences = dict[str, Fact]()
+    for name, size in plan.difference.items():
+        key = DIFFERENCE + name.partition("[")[0]  # the largest of the wheels
+        if key not in differences or size > differences[key].value:
+            differences[key] = Fact(size, plan.units[name])
     return {
         "plan_iterations": Fact(sum(stage.iterations for stage in plan.stages), "1"),
         "plan_seconds": Fact(sum(each["total"] for each in times), "s"),
         "plan_seconds_functions": Fact(sum(each["functions"] for each in times), "s"),
         **{f"{PLAN_COST}{name}": Fact(value) for name, value in plan.costs.items()},
-        **_differences(plan),
+        **differences,
         **{
             VIOLATION + re.sub("[^a-zA-Z0-9.]+", "_", name).strip("_"): Fact(
                 size, plan.units[name], name
@@ -125,15 +130,6 @@ def facts_of(plan: Plan | LongPlan, setup: plan_setup.Planning) -> dict[str, Fac
         **_turns(setup, plan),
         **({"plan_time_limit": Fact(TIME_LIMITED)} if is_limited else {}),
     }
-
-
-def _differences(plan: Plan | LongPlan) -> dict[str, Fact]:
-    facts = dict[str, Fact]()
-    for name, size in plan.difference.items():
-        key = DIFFERENCE + name.partition("[")[0]  # the largest of the wheels
-        if key not in facts or size > facts[key].value:
-            facts[key] = Fact(size, plan.units[name])
-    return facts
 
 
 def _turns(setup: plan_setup.Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
@@ -184,7 +180,15 @@ def described(run: Trajectory) -> dict[str, Fact]:
     if facts.get("friction_utilisation_largest", Fact(0.0)).value > SLIDING:
         texts["slides"] = "a wheel slides"
     if "plan_windows" in facts:
-        texts["windows"] = _windows_words(facts["plan_windows"].value)
+        rows = facts["plan_windows"].value
+        metres, seconds = rows[-1]["end"], sum(row["seconds"] for row in rows)
+        inaccurate = ", ".join(f"{row['t']:.6g} s" for row in rows if not row["accurate"])
+        texts["windows"] = (
+            f"{len(rows)} windows up to {metres:.6g} m of the route, "
+            f"{max(row['iterations'] for row in rows)} iterations at most, "
+            f"{1e3 * seconds / metres:.3g} s of search per kilometre"
+            + (f"; not accurate: those that begin at {inaccurate}" if inaccurate else "")
+        )
     if "plan_starts" in facts:
         texts["start_count"] = str(len(facts["plan_starts"].value))
     if "plan_curvature" in facts:
@@ -237,17 +241,6 @@ def _simulated_words(facts: Facts, *, is_solved: bool) -> str:
     if all(fact.value <= accuracy for fact in violations):
         return f"{words}; meets all constraints within plan.accuracy, {accuracy:g}: {missed}"
     return f"{words}; violates {missed}; plan.accuracy allows {accuracy:g}"
-
-
-def _windows_words(rows: list[dict[str, Any]]) -> str:
-    metres, seconds = rows[-1]["end"], sum(row["seconds"] for row in rows)
-    inaccurate = ", ".join(f"{row['t']:.6g} s" for row in rows if not row["accurate"])
-    return (
-        f"{len(rows)} windows up to {metres:.6g} m of the route, "
-        f"{max(row['iterations'] for row in rows)} iterations at most, "
-        f"{1e3 * seconds / metres:.3g} s of search per kilometre"
-        + (f"; not accurate: those that begin at {inaccurate}" if inaccurate else "")
-    )
 
 
 MAX_SAMPLES = 401  # largest number of samples of a plan in the viewer
@@ -613,6 +606,7 @@ def _in_soil(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
 
 
 def _momentum(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
+    """Return the facts of the motion with inertia beside the plan, and of its path without."""
     if setup.spec.model != "dynamics":
         return {}
     facts = {"momentum_distance": Fact(max(plan.difference[name] for name in "xyz"), "m")}
@@ -620,13 +614,10 @@ def _momentum(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
         least = run["force_normal"].min(axis=0)
         wheel = run.wheels[int(least.argmin())]
         facts[f"momentum_force_normal{name}"] = Fact(float(least.min()), "N", wheel)
-    return facts | (_slowly(setup, plan) if plan.success else {})
-
-
-def _slowly(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
-    """Return the torques that the path of a plan needs without inertia."""
+    if not plan.success:
+        return facts
     run = plan.run
-    try:
+    try:  # the torques that the same path needs without inertia
         model: Dae = quasi_statics(setup.vehicle, setup.terrain)
         start = settled_start(model, setup.start, setup.spec.solver.options)
         wheels = [
@@ -640,11 +631,12 @@ def _slowly(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
         slow = simulate(model, start, model.inputs(**lines), run.t, options=options)
     except (SlipfreeError, np.linalg.LinAlgError) as error:  # the plan is valid without it
         if not (isinstance(error, trajectory.SolverError) and error.trajectory):
-            return {"slow_failure": Fact(f"not simulated: {error}")}
+            return {**facts, "slow_failure": Fact(f"not simulated: {error}")}
         slow = error.trajectory
     needed, used = (np.abs(each["drive_torque"].sum(axis=1)) for each in (slow, run))
     k = int(needed.argmax())
     return {
+        **facts,
         "slow_torque": Fact(float(needed[k]), "N m"),
         "slow_torque_plan": Fact(float(used.max()), "N m"),
         **{f"slow_{axis}": Fact(float(slow[axis][k]), "m") for axis in "xy"},

@@ -375,7 +375,17 @@ def make_robust(setup: Planning, first: Plan, progress: PlanProgress, watch: Wat
                 parts.remove()
     except KeyboardInterrupt:
         return Tested(latest, UNTESTED)
-    return Tested(solved.plan, _stop(solved, robust), robust_facts(solved, first))
+    after, stop = solved.after, None
+    if after.share < robust.share:
+        bound, count = next(iter(after.violated.items()))
+        tighter = f"; tighter limits are not solved: {solved.failure}" if solved.failure else ""
+        words = (
+            f"the plan holds in {after.held} of {after.draws} drawn worlds, expected at "
+            f"least {100 * robust.share:.3g} %; violated most often: {bound} in {count}{tighter}; "
+            "widen the limits, or reduce the share or the uncertainty in plan.robust"
+        )
+        stop = Stop(PLAN_SHARE, 0.0, words, Outcome.INFEASIBLE)
+    return Tested(solved.plan, stop, robust_facts(solved, first))
 
 
 def replay_draw(task: ReplayTask) -> tuple[DisturbedRun, ...]:
@@ -598,18 +608,3 @@ def tightening_facts(result: RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
         **{f"plan_untightened_{name}": Fact(cost) for name, cost in first.costs.items()},
         **({"plan_tightening_failure": Fact(result.failure)} if result.failure else {}),
     }
-
-
-def _stop(result: RobustPlan[Plan], robust: Robust) -> Stop | None:
-    """Return the stop of a plan that holds in too few drawn worlds, otherwise None."""
-    after = result.after
-    if after.share >= robust.share:
-        return None
-    bound, count = next(iter(after.violated.items()))
-    tighter = f"; tighter limits are not solved: {result.failure}" if result.failure else ""
-    words = (
-        f"the plan holds in {after.held} of {after.draws} drawn worlds, expected at "
-        f"least {100 * robust.share:.3g} %; violated most often: {bound} in {count}{tighter}; "
-        "widen the limits, or reduce the share or the uncertainty in plan.robust"
-    )
-    return Stop(PLAN_SHARE, 0.0, words, Outcome.INFEASIBLE)

@@ -249,6 +249,7 @@ class PlanKeys(schema.Modelled):
         """Yield the errors of common keys, and of options that do not suit the model."""
         yield from super().faults()
         search, driver = self.plan, self.driver
+        robust, window = search.robust, search.window
         if self.inputs is not None:
             if driver is not None:
                 expected = "at most one initial guess, of inputs and driver"
@@ -264,27 +265,6 @@ class PlanKeys(schema.Modelled):
         if (search.intervals or 0) > MAX_INTERVALS:
             found = f"{search.intervals}; reduce it, or divide a long plan with 'window'"
             yield toml.Fault(("plan", "intervals"), f"at most {MAX_INTERVALS} intervals", found)
-        yield from self._search_faults()
-        if self.model != "dynamics":
-            if search.sliding:
-                found = f"model = {self.model!r}; set model = 'dynamics', or remove the key"
-                yield toml.Fault(
-                    ("plan", "sliding"), "model = 'dynamics', where wheels slide", found
-                )
-            return
-        conflicts = {
-            "window": search.window is not None,
-            "robust": search.robust is not None,
-            "guarantee": search.guarantee is not None,
-            "starts": search.starts > 1,
-        }
-        for name in (name for name, is_set in conflicts.items() if is_set):
-            expected = f"no {name!r} with model = 'dynamics'"
-            yield toml.Fault(("plan", name), expected, "it; remove it, or plan without inertia")
-
-    def _search_faults(self) -> Iterator[toml.Fault]:
-        """Yield the errors of options that do not suit windows, drawn worlds or guarantees."""
-        search, robust, window = self.plan, self.plan.robust, self.plan.window
         if search.guarantee is not None:
             others = {
                 "plan.robust": robust,
@@ -302,13 +282,11 @@ class PlanKeys(schema.Modelled):
                 expected = "a ground with friction for the key 'friction'"
                 found = "no friction; add 'friction' to [terrain], or remove it from [plan.robust]"
                 yield toml.Fault(("plan", "robust"), expected, found)
-        if window is None:
-            if search.overlap is not None:
-                found = "no 'window'; add it to [plan], or remove 'overlap'"
-                yield toml.Fault(("plan", "overlap"), "this key only with 'window'", found)
-            return
-        if self.plan.shared_length >= window:
-            found = f"{self.plan.shared_length:g} m; reduce the overlap"
+        if window is None and search.overlap is not None:
+            found = "no 'window'; add it to [plan], or remove 'overlap'"
+            yield toml.Fault(("plan", "overlap"), "this key only with 'window'", found)
+        if window is not None and search.shared_length >= window:
+            found = f"{search.shared_length:g} m; reduce the overlap"
             yield toml.Fault(("plan", "overlap"), f"less than the window, {window:g} m", found)
         for place, is_set, advice in (
             (("plan", "duration"), search.duration is not None, "remove one of them"),
@@ -317,8 +295,20 @@ class PlanKeys(schema.Modelled):
             (("way_points",), self.way_points, "remove the way-points, or lead the path there"),
             (("cost_limits",), self.cost_limits, "remove 'cost_limits'"),
         ):
-            if is_set:
+            if is_set and window is not None:
                 yield toml.Fault(place, f"no {place[-1]!r} with plan.window", f"both; {advice}")
+        if self.model != "dynamics":
+            if search.sliding:
+                found = f"model = {self.model!r}; set model = 'dynamics', or remove the key"
+                yield toml.Fault(
+                    ("plan", "sliding"), "model = 'dynamics', where wheels slide", found
+                )
+            return
+        names = ("window", "robust", "guarantee")
+        given = [name for name in names if getattr(search, name) is not None]
+        for name in given + ["starts"] * (search.starts > 1):
+            expected = f"no {name!r} with model = 'dynamics'"
+            yield toml.Fault(("plan", name), expected, "it; remove it, or plan without inertia")
 
 
 Place = tuple[str, float, float]

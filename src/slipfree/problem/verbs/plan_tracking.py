@@ -127,7 +127,18 @@ def follow_plan(
     ModelError if a name, period, window, joints or wheels do not suit the plan; SolverError if the
     first window cannot be solved, or a motion fails before its first sample.
     """
-    _check_names(by, disturb)
+    for names, known, what in ((by, WAYS, "by"), (disturb, DISTURBANCES, "disturb")):
+        for name in names:
+            if name not in known:
+                raise ModelError(
+                    f"{what}: expected one of {', '.join(known)}, found {name!r}; correct the name"
+                )
+    for name, most in (("friction", 1.0), ("radii", MAX_RADIUS_ERROR)):
+        if disturb.get(name, 0.0) >= most:
+            raise ModelError(
+                f"disturb: {name}: expected a relative change below {most:g}, found "
+                f"{disturb[name]:g}; reduce it"
+            )
     run = read(file)
     arrays = read_arrays(file)
     saved = from_arrays(arrays, str(file))
@@ -243,21 +254,6 @@ def follow_plan(
         numbers = range(1, len(tasks) + 1)
         followed = dict(until_interrupt(run_tasks(numbers, lambda number: tasks[number - 1])))
     return TrackingTest(plan.replay, tuple(followed[k] for k in sorted(followed)), parts)
-
-
-def _check_names(by: Sequence[str], disturb: Mapping[str, float]) -> None:
-    for names, known, what in ((by, WAYS, "by"), (disturb, DISTURBANCES, "disturb")):
-        for name in names:
-            if name not in known:
-                raise ModelError(
-                    f"{what}: expected one of {', '.join(known)}, found {name!r}; correct the name"
-                )
-    for name, most in (("friction", 1.0), ("radii", MAX_RADIUS_ERROR)):
-        if disturb.get(name, 0.0) >= most:
-            raise ModelError(
-                f"disturb: {name}: expected a relative change below {most:g}, found "
-                f"{disturb[name]:g}; reduce it"
-            )
 
 
 def _scaled(section: Section, factor: float) -> Section:
