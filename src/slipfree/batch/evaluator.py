@@ -38,42 +38,16 @@ OPERATORS = {
     ca.OP_NEG: "-{}",
     ca.OP_ASSIGN: "{}",
 }
-CALLS = {
-    ca.OP_LT: "lt",
-    ca.OP_LE: "le",
-    ca.OP_EQ: "eq",
-    ca.OP_NE: "ne",
-    ca.OP_AND: "and",
-    ca.OP_OR: "or",
-    ca.OP_NOT: "not",
-    ca.OP_IF_ELSE_ZERO: "if_else_zero",
-    ca.OP_FMIN: "vmin",
-    ca.OP_FMAX: "vmax",
-    ca.OP_FABS: "vabs",
-    ca.OP_SIGN: "vsign",
-    ca.OP_COPYSIGN: "vcopysign",
-    ca.OP_SQRT: "vsqrt",
-    ca.OP_SIN: "vsin",
-    ca.OP_COS: "vcos",
-    ca.OP_TAN: "vtan",
-    ca.OP_ASIN: "vasin",
-    ca.OP_ACOS: "vacos",
-    ca.OP_ATAN: "vatan",
-    ca.OP_ATAN2: "vatan2",
-    ca.OP_SINH: "vsinh",
-    ca.OP_COSH: "vcosh",
-    ca.OP_TANH: "vtanh",
-    ca.OP_EXP: "vexp",
-    ca.OP_LOG: "vlog",
-    ca.OP_EXPM1: "vexpm1",
-    ca.OP_LOG1P: "vlog1p",
-    ca.OP_POW: "vpow",
-    ca.OP_CONSTPOW: "vpow",
-    ca.OP_FMOD: "vfmod",
-    ca.OP_HYPOT: "vhypot",
-    ca.OP_FLOOR: "vfloor",
-    ca.OP_CEIL: "vceil",
-}
+# functions of `lanes.c` by operation; most have the name of the operation, after a v
+COMPARED = ("lt", "le", "eq", "ne", "and", "or", "not", "if_else_zero")
+CALLED = (
+    *("fmin", "fmax", "fabs", "sign", "copysign", "sqrt", "sin", "cos", "tan", "asin", "acos"),
+    *("atan", "atan2", "sinh", "cosh", "tanh", "exp", "log", "expm1", "log1p", "pow", "fmod"),
+    *("hypot", "floor", "ceil"),
+)
+CALLS: dict[int, str] = {getattr(ca, f"OP_{name.upper()}"): name for name in COMPARED}
+CALLS |= {getattr(ca, f"OP_{name.upper()}"): f"v{name}" for name in CALLED}
+CALLS |= {ca.OP_FMIN: "vmin", ca.OP_FMAX: "vmax", ca.OP_FABS: "vabs", ca.OP_CONSTPOW: "vpow"}
 
 
 class GraphSet(Protocol):

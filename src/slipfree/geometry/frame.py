@@ -106,20 +106,10 @@ def quaternion(rotation: ca.SX) -> ca.SX:
 
     The largest of the four components is computed first, which avoids cancellation.
     """
-    r = rotation
-    trace = r[0, 0] + r[1, 1] + r[2, 2]
-    rows = [
-        ca.vertcat(
-            1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]
-        ),
-        ca.vertcat(
-            r[0, 1] + r[1, 0], 1 + r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]
-        ),
-        ca.vertcat(
-            r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 + r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]
-        ),
-        ca.vertcat(r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1 + trace),
-    ]
+    trace, twice, axis = ca.trace(rotation), rotation + rotation.T, 2 * ca.inv_skew(rotation)
+    # four times the product of the quaternion and its transpose
+    product = ca.blockcat([[twice + (1 - trace) * ca.SX.eye(3), axis], [axis.T, 1 + trace]])
+    rows = ca.horzsplit(ca.densify(product))
     best, size = rows[0], rows[0][0]
     for index in (1, 2, 3):
         larger = rows[index][index] > size
