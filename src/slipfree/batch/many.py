@@ -68,7 +68,8 @@ class LaneResults(NamedTuple):
     outcomes: list[str]  # names of outcomes in lower case; ``"failed"`` without a start
     reasons: list[str]  # messages of early ends
     end: Array  # times that the motions reached, shape (n,) [s]
-    error: Array  # estimates of the errors of x and y at the last sample, shape (n,) [m]
+    # estimates of the errors of x and y at the last sample, shape (n,) [m]; None without estimates
+    error: Array | None
     # which motions `slipfree.simulate` must decide: Newton's method did not follow the contacts
     disputed: Mask
 

@@ -104,7 +104,7 @@ class NearestPoints:
         if isinstance(self.terrain, Bicubic):
             cells = (4 * side / max(self.terrain.grid.spacing) + 4) ** 2
             size = max(1, min(CHUNK, int(MAX_CELLS / cells)))
-        nearest = list[tuple[Array, Array, Array]]()
+        nearest = list[tuple[Array, Array, Indices]]()
         for k in range(0, placed.shape[1], size):  # origins and axes, (n_shapes, 12, n)
             part = placed[:, k : k + size].reshape(len(self.shapes), 12, -1)
             if self._over_plane:
@@ -203,8 +203,10 @@ class NearestPoints:
     def _over_plane(self) -> tuple[ca.Function, ...]:
         """Clearance and foot of each shape as functions of origin and axes; none if not a plane."""
         plane, functions = plane_of(self.terrain), list[ca.Function]()
+        if plane is None:
+            return ()
         center, columns = ca.SX.sym("center", 3), ca.SX.sym("columns", 9)
-        for _, shape in self.shapes if plane is not None else ():
+        for _, shape in self.shapes:
             results = plane_gap(shape, Pose(ca.reshape(columns, 3, 3), center), plane)
             functions.append(ca.Function("plane", [center, columns], [*results]))
         return tuple(functions)

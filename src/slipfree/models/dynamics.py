@@ -479,7 +479,9 @@ def quantities(moving: MovingVehicle, contacts: Sequence[Contact]) -> Quantities
     pitch_rate = (across_heading * omega_x + along_heading * omega_y) / ca.cos(position.roll)
     kinds = list(zip(vehicle.coordinates, x.joint_speeds, strict=True))
     rates = Rates(
-        *x.velocity,
+        x.velocity[0],
+        x.velocity[1],
+        x.velocity[2],
         omega_z + ca.sin(position.roll) * pitch_rate,
         across_heading * omega_y - along_heading * omega_x,
         pitch_rate,

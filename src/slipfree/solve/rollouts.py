@@ -13,7 +13,7 @@ import numpy as np
 
 from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.graph import graphs_of
-from slipfree.batch.many import lanes_at_once, run_lanes, start_states, states_of
+from slipfree.batch.many import LaneResults, lanes_at_once, run_lanes, start_states, states_of
 from slipfree.core.arguments import BY_NAME, check_angles, checked
 from slipfree.core.dae import Dae, InputValue, PiecewiseLinear
 from slipfree.core.errors import ModelError, SlipfreeError, require
@@ -190,6 +190,9 @@ def rollouts(
     return table.dataset({"tolerance": options.tolerance} if method == "simulate" else {})
 
 
+_Results = list[tuple[Array, LaneResults]]  # numbers of runs, and their results
+
+
 class _Common(NamedTuple):
     """Arguments of runs; arrays have a value for each run or one for all."""
 
@@ -232,22 +235,6 @@ class _Common(NamedTuple):
         if isinstance(self.starts, list):
             return self.starts[k if len(self.starts) > 1 else 0]
         return {name: float(_of_run(values, k)) for name, values in self.starts.items()}
-
-
-class _Results(NamedTuple):
-    """Results of runs with given numbers.
-
-    Columns have the shape (n, m) or (n, m, n_wheels), with NaN after the end of a run. Texts have a
-    value for each run; the estimated errors may be None.
-    """
-
-    numbers: Array
-    columns: dict[str, Column]
-    wheels: tuple[str, ...]
-    outcomes: list[str]
-    reasons: list[str]
-    ends: Array
-    errors: Array | None = None
 
 
 def _count_runs(
@@ -295,13 +282,13 @@ def _of_run(values: Array, k: int) -> Any:
     return values.reshape(-1)[k if values.size > 1 else 0].item()
 
 
-def _simulate_runs(common: _Common, numbers: Array) -> list[_Results]:
-    return [_simulated(common, int(k)) for k in numbers]
+def _simulate_runs(common: _Common, numbers: Array) -> _Results:
+    return [(numbers[[i]], _simulated(common, int(k))) for i, k in enumerate(numbers)]
 
 
-def _run_batch(common: _Common, numbers: Array) -> list[_Results]:
+def _run_batch(common: _Common, numbers: Array) -> _Results:
     """Return the results of runs by the batch; runs that it cannot decide are simulated."""
-    results = list[_Results]()
+    results: _Results = []
     groups: dict[Any, list[int]] = {}
     for k in numbers if common.parameters else ():
         groups.setdefault(common.parameters_of(int(k)), []).append(int(k))
@@ -344,7 +331,7 @@ def _run_batch(common: _Common, numbers: Array) -> list[_Results]:
                 quantities=common.quantities,
                 placed=placed,
             )
-            results.append(_Results(chosen[part], *lanes[:6]))
+            results.append((chosen[part], lanes))
             results += _simulate_runs(common, chosen[part][lanes.disputed])
     return results
 
@@ -360,9 +347,9 @@ def _built(model: Callable[..., Dae], parameters: tuple[tuple[str, Any], ...]) -
     return built
 
 
-def _simulated(common: _Common, k: int) -> _Results:
+def _simulated(common: _Common, k: int) -> LaneResults:
     """Return the simulated run k, or the outcome and the message of its failure."""
-    dae, number = common.model_of(k), np.array([k])
+    dae, decided = common.model_of(k), (None, np.zeros(1, dtype=bool))
     values = dict[str, Any](common.inputs)
     for name, each in values.items():
         if isinstance(each, np.ndarray) and each.ndim:
@@ -370,8 +357,8 @@ def _simulated(common: _Common, k: int) -> _Results:
             values[name] = float(row[0]) if row.size == 1 else row
     inputs = dae.inputs(**values)
 
-    def failed(error: Exception) -> _Results:
-        return _Results(number, {}, (), [FAILED], [str(error)], np.full(1, np.nan))
+    def failed(error: Exception) -> LaneResults:
+        return LaneResults({}, (), [FAILED], [str(error)], np.full(1, np.nan), *decided)
 
     try:
         start = common.start_of(k)
@@ -395,7 +382,7 @@ def _simulated(common: _Common, k: int) -> _Results:
         column[0, : rows.sum()] = samples[rows]
         columns[name] = Column(label, column)
     end = np.array([motion.t[-1]])
-    return _Results(number, columns, motion.wheels, [outcome], [words], end)
+    return LaneResults(columns, motion.wheels, [outcome], [words], end, *decided)
 
 
 class _Table:
@@ -408,16 +395,15 @@ class _Table:
         self.ends, self.errors = np.full((2, count), np.nan)
         self.estimated = False
 
-    def add(self, results: Sequence[_Results]) -> None:
+    def add(self, results: _Results) -> None:
         """Add the results of some runs."""
-        for part in results:
-            k = part.numbers
-            self.outcomes[k], self.reasons[k], self.ends[k] = part.outcomes, part.reasons, part.ends
-            self.errors[k] = np.nan if part.errors is None else part.errors
-            self.estimated |= part.errors is not None
+        for k, part in results:
+            self.outcomes[k], self.reasons[k], self.ends[k] = part.outcomes, part.reasons, part.end
+            self.errors[k] = np.nan if part.error is None else part.error
+            self.estimated |= part.error is not None
             self.wheels = part.wheels or self.wheels
             for name, (label, samples) in part.columns.items():
-                if self.estimated and part.errors is None and name not in self.columns:
+                if self.estimated and part.error is None and name not in self.columns:
                     continue  # the batch has no such quantity
                 if name not in self.columns:
                     shape = self.ends.size, *samples.shape[1:]
@@ -453,8 +439,8 @@ def _loaded(function: bytes) -> Model:
 
 
 def _execute_part(
-    task: tuple[bytes, _Common, Callable[..., list[_Results]], Array],
-) -> list[_Results]:
+    task: tuple[bytes, _Common, Callable[..., _Results], Array],
+) -> _Results:
     function, common, execute, numbers = task
     found = execute(common._replace(model=_loaded(function)), np.arange(numbers.size))
-    return [each._replace(numbers=numbers[each.numbers]) for each in found]
+    return [(numbers[k], each) for k, each in found]
