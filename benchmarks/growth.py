@@ -54,8 +54,7 @@ from slipfree.plan.ipopt import Iterate
 from slipfree.solve import integrator as module
 from slipfree.system.forks import THREAD_COUNTS
 from slipfree.vehicle.sections import Torus
-from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle, Wheel
 
 SIDES = (200, 500, 1000, 2000, 4000)  # nodes of maps along a side
 WHEELS = (3, 4, 6, 8, 10, 12)

@@ -30,8 +30,7 @@ from slipfree.problem.report import describe
 from slipfree.show import motion_figures, style
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.sections import Torus
-from slipfree.vehicle.tree import Body, Coordinate, Joint
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Wheel
 
 CAR = """
 name = "car"

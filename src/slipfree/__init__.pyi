@@ -55,10 +55,10 @@ from .terrain.solids import Solids as Solids
 from .vehicle.tree import Body as Body
 from .vehicle.tree import Coordinate as Coordinate
 from .vehicle.tree import Joint as Joint
+from .vehicle.tree import Motor as Motor
+from .vehicle.tree import Rate as Rate
+from .vehicle.tree import Torque as Torque
 from .vehicle.tree import Vehicle as Vehicle
+from .vehicle.tree import Wheel as Wheel
 from .vehicle.tree import in_gravity as in_gravity
 from .vehicle.tree import planar as planar
-from .vehicle.wheel import Motor as Motor
-from .vehicle.wheel import Rate as Rate
-from .vehicle.wheel import Torque as Torque
-from .vehicle.wheel import Wheel as Wheel

@@ -33,7 +33,7 @@ from slipfree import Analytic, SamplingTask, catalog, commanded, direct_kinemati
 from slipfree.cli import app
 from slipfree.files.atlas_files import Site, write_atlas
 from slipfree.files.toml import load_toml
-from slipfree.files.urdf.roles import UrdfTable
+from slipfree.files.urdf.tree import UrdfTable
 from slipfree.files.vehicle_toml import file_of, validated
 from slipfree.problem.load import load_problem
 from slipfree.problem.wheel_test import read_wheel_file

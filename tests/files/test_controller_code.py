@@ -15,8 +15,7 @@ from slipfree import Bicubic, Grid, ModelError, catalog, inverse_kinematics, set
 from slipfree.files.controller import _c_name, export_controller
 from slipfree.system import codegen_cache
 from slipfree.vehicle.sections import section_of_radii
-from slipfree.vehicle.tree import Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Vehicle, Wheel
 
 pytestmark = pytest.mark.skipif(codegen_cache.compiler() is None, reason="no C compiler here")
 STRICT = ["cc", "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror"]

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from helpers.rasters import from_origin, geotiff, refuses
 from slipfree import DataError
-from slipfree.files.maps import missing_values
+from slipfree.files.maps import raster
 from slipfree.files.maps.elevation import geographic_to_metric, jacksboro, read_map
 
 HEADER = "ncols 5\nNROWS 4\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"
@@ -407,7 +407,7 @@ def test_two_markers_and_most_nodes_missing(tmp_path):
 
 def test_markers_of_a_large_map(monkeypatch, tmp_path):
     """Of large maps, only extremes and a part of the heights are sorted."""
-    monkeypatch.setattr(missing_values, "MAX_SORTED", 100)
+    monkeypatch.setattr(raster, "MAX_SORTED", 100)
     for value in (-32768, 0, 65535):
         z = np.where((X == 7) & (Y == 9), value, MOUNTAINS)
         assert f"the value {value} at 1 of 1200" in _refused(_geotiff(tmp_path / "map.tif", z))

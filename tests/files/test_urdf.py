@@ -19,7 +19,7 @@ from slipfree.files.urdf.links import Robot, link_poses
 from slipfree.geometry.frame import Pose
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.vehicle.sections import Omni, Torus
-from slipfree.vehicle.wheel import Torque
+from slipfree.vehicle.tree import Torque
 
 RIGHT_FORWARD = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # from x forward, y left
 FILES = {

@@ -22,8 +22,7 @@ from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.problem.schema import CATALOG
 from slipfree.vehicle.sections import Disc, Omni, Sphere, Torus
-from slipfree.vehicle.tree import Joint, VehicleParts
-from slipfree.vehicle.wheel import Motor, Torque
+from slipfree.vehicle.tree import Joint, Motor, Torque, VehicleParts
 
 
 def rep103(vector):

@@ -6,8 +6,7 @@ import numpy as np
 
 from slipfree import Analytic, SolverOptions, settle, simulate
 from slipfree.vehicle.sections import Torus
-from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint, Vehicle, Wheel
 
 FLAT = Analytic(lambda x, y: 0 * (x + y), mu=0.8)
 

@@ -25,7 +25,7 @@ from helpers.urdf import FOUR, link
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Outcome, Stop, Trajectory
 from slipfree.files import netcdf
-from slipfree.files.urdf.roles import UrdfTable
+from slipfree.files.urdf.tree import UrdfTable
 from slipfree.files.vehicle_toml import AnyShapeTable, AnyWheelTable, VehicleTable
 from slipfree.problem.load import VERBS
 from slipfree.problem.schema import CommonKeys

@@ -26,8 +26,7 @@ from slipfree.problem.schema import SLIP_LAWS
 from slipfree.terrain.rolled import rolled
 from slipfree.terrain.synthetic import blank, craters, power_law, ramp, rocks
 from slipfree.vehicle.sections import Torus
-from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Coordinate, Joint, Vehicle, Wheel
 
 SIDE = 12.0  # of a map, in the middle of which the vehicles start [m]
 UTM = (431_250.0, 5_312_740.0, 812.0)  # where maps with large coordinates lie [m]

@@ -16,8 +16,7 @@ from slipfree.geometry.frame import unit_vector
 from slipfree.models.dynamics import dynamics
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.synthetic import power_law
-from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Vehicle
-from slipfree.vehicle.wheel import Drive, Motor, Rate, Torque
+from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Drive, Motor, Rate, Torque, Vehicle
 
 VEHICLES = (
     "three_wheeler",

@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 from slipfree.vehicle.sections import Sphere, Torus
-from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Coordinate, Joint, Vehicle, Wheel
 
 
 def skid_steered():

@@ -16,7 +16,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.rearrange import new_variable
 from slipfree.core.records import Label
 from slipfree.geometry.frame import Pose
-from slipfree.vehicle.wheel import Motor, Torque
+from slipfree.vehicle.tree import Motor, Torque
 
 MOTION = ("x", "y", "heading", "tilt_right", "tilt_left", "z", "roll", "pitch")
 PLACES = ("contact_x", "contact_y")

@@ -19,8 +19,17 @@ from slipfree.models.multibody import Speeds, mass_matrix, multibody
 from slipfree.solve.settle import stable_poses
 from slipfree.vehicle.sections import Disc, Sphere, Torus
 from slipfree.vehicle.shapes import Box, Hull
-from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint, Vehicle
-from slipfree.vehicle.wheel import RATE, Motor, Torque, Wheel
+from slipfree.vehicle.tree import (
+    EARTH_GRAVITY,
+    RATE,
+    Body,
+    Coordinate,
+    Joint,
+    Motor,
+    Torque,
+    Vehicle,
+    Wheel,
+)
 
 LIGHT = Body(1e-9, inertia=(1e-9, 1e-9, 1e-9, 0, 0, 0))
 

@@ -14,8 +14,7 @@ from slipfree.catalog import ackermann, skid_steer, three_wheeler
 from slipfree.control import path_following as laws
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.sections import Torus
-from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Coordinate, Joint, Vehicle, Wheel
 
 WAY = np.array([(0, 0), (25, 3), (50, 0), (75, -3), (100, 0)], dtype=float)
 FLAT = sf.Analytic(lambda x, _: 0 * x)

@@ -69,8 +69,7 @@ from slipfree.fit.force_balance import (
 )
 from slipfree.fit.force_balance import simulate as simulate_lanes
 from slipfree.terrain.base import Grid
-from slipfree.vehicle.tree import body_inertia
-from slipfree.vehicle.wheel import wheel_inertia
+from slipfree.vehicle.tree import body_inertia, wheel_inertia
 
 LEVEL = Analytic(lambda x, _: 0 * x, mu=0.6)
 

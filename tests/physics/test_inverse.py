@@ -31,7 +31,7 @@ from slipfree.solve.replay import replay, spline_inputs
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.system import solve_initial_conditions, with_inputs
 from slipfree.vehicle.sections import Torus
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Wheel
 
 CROSSING = {"given": PLANAR, "solve_for": "rates", "least_margin": 0.0}
 WHEEL_RATES = ("right_rate", "left_rate", "steer_rate")

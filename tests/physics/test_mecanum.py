@@ -21,8 +21,7 @@ from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.solve.replay import replay, round_trip
 from slipfree.system import codegen_cache
 from slipfree.vehicle.sections import Disc, Omni, Torus
-from slipfree.vehicle.tree import EARTH_GRAVITY
-from slipfree.vehicle.wheel import Torque, Wheel
+from slipfree.vehicle.tree import EARTH_GRAVITY, Torque, Wheel
 
 VEHICLE = sf.catalog.mecanum()
 HALF_TRACK, HALF_BASE, RADIUS = 0.15, 0.235, 0.0475

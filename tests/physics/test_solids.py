@@ -18,7 +18,7 @@ from slipfree.geometry.frame import Pose
 from slipfree.models.samples import obstacle_ending
 from slipfree.terrain.solids import Prism, Solid, kerb, placed, ramp, stairs, step
 from slipfree.vehicle.sections import Disc, Sphere, Torus
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Wheel
 
 GRIPPY = replace(FLAT, mu=0.9)
 BLOCK = Solid(((0.0, -0.2), (0.5, -0.2), (0.5, 0.3), (0.0, 0.3)))

@@ -31,8 +31,7 @@ from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.limits import tip_over_margin
 from slipfree.models.montana import montana_kinematics
 from slipfree.vehicle.sections import Torus
-from slipfree.vehicle.tree import Body, Coordinate, Vehicle, actuated
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Body, Coordinate, Vehicle, Wheel, actuated
 
 G = 9.81
 LA, LS, R1, R2 = 1.0, 1.5, 0.05, 0.25

@@ -11,7 +11,7 @@ from slipfree import Analytic, Bicubic, Grid
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.models.montana import ContactCoordinates, Forms, contact_rates, pair, patch
 from slipfree.vehicle.sections import Sphere, Torus
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Wheel
 
 ORIGIN = (0.0, 0.0, 0.0)
 WHEELS = {

@@ -16,8 +16,7 @@ from slipfree.contact.closure import has_exact_closure
 from slipfree.geometry.frame import Pose, platform, quaternion, translation, turn
 from slipfree.models.montana import montana_kinematics
 from slipfree.vehicle.sections import Disc, Omni, Torus
-from slipfree.vehicle.tree import Body, Joint, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Body, Joint, Vehicle, Wheel
 
 VEHICLE = three_wheeler()
 

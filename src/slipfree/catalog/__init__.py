@@ -23,11 +23,10 @@ from annotated_types import Gt, Unit
 from slipfree.core import schema
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, read_table, similar
-from slipfree.geometry.frame import Vector
+from slipfree.geometry.frame import ORIGIN, Vector
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.sections import Disc, section_of_radii
-from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
-from slipfree.vehicle.wheel import DRIVES, ORIGIN, Wheel
+from slipfree.vehicle.tree import DRIVES, Body, Coordinate, Joint, Vehicle, Wheel
 
 Axle = Literal["tilting", "sliding", "prismatic_undriven", "prismatic", "actuated", "fixed"]
 MAX_TILT = 1.5  # a wheel with a larger tilt lies on its side [rad]

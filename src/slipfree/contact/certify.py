@@ -30,7 +30,7 @@ from slipfree.core.records import Array, Label, Mask, pack
 from slipfree.geometry.frame import Pose
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.sections import arc_lengths
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Wheel
 
 RIM_ANGLES = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # about the axle, from the contact [rad]
 CIRCLE = np.stack([np.cos(RIM_ANGLES), np.sin(RIM_ANGLES)], axis=1)

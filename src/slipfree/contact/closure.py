@@ -19,8 +19,7 @@ from slipfree.core.lookups import LookupTable
 from slipfree.geometry.frame import Pose, platform
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.formula import evaluate
-from slipfree.vehicle.tree import Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Vehicle, Wheel
 
 ROOT_OFFSET = 1e-30  # keeps a quotient finite [1]
 MIN_PART = 0.05  # smallest entry of a free motion that is named

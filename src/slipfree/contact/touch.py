@@ -37,7 +37,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism
 from slipfree.vehicle.sections import Section
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Wheel
 
 STEPS = 2  # number of Newton steps from the wheel's lowest point; doubled if these do not converge
 DAMPED_STEPS = 30  # number of damped Newton steps if the previous ones do not converge

@@ -19,8 +19,7 @@ from slipfree.core.schema import Finite, Positive
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.path import Path, spline_function
 from slipfree.models.given_rates import COMMANDS, PLANAR, turning_effects
-from slipfree.vehicle.tree import Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Vehicle, Wheel
 
 MAX_STEER_ANGLE = 0.5  # largest steering angle of the law [rad]
 STEER_GAIN = 4.0  # decay of the steering error per base length driven

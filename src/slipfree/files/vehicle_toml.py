@@ -25,12 +25,12 @@ from slipfree.core.arguments import WithUnit, degrees_question
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.files import toml
-from slipfree.geometry.frame import Vector, in_axes, unit_vector
+from slipfree.geometry.frame import ORIGIN, Vector, in_axes, unit_vector
 from slipfree.vehicle import tree
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS, names_in
 from slipfree.vehicle.sections import SECTIONS, Omni, Section, section_of_radii
 from slipfree.vehicle.shapes import SHAPES, Ball, BodyShape, Box, Hull
-from slipfree.vehicle.wheel import DRIVES, ORIGIN, RATE, Drive, Wheel
+from slipfree.vehicle.tree import DRIVES, RATE, Drive, Wheel
 
 RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
 MAX_WHEEL_MASS = 4e5  # of a radius of 1 m: four balls of osmium, the densest material [kg]

@@ -32,8 +32,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, ComplexArray, Indices
 from slipfree.geometry.frame import Vector, elements, unit_vector
 from slipfree.vehicle.sections import Disc, Omni, Section, Sphere, Torus
-from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle, body_inertia
-from slipfree.vehicle.wheel import Wheel, wheel_inertia
+from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle, Wheel, body_inertia, wheel_inertia
 
 MAX_STEP = 0.02  # longest step of the integration [s]
 RELAXATION, RELAXING_STEPS = 0.5, 20  # steps to the steady motion at the first rates: duration [s]

@@ -13,6 +13,7 @@ from slipfree.core.records import Array
 from slipfree.core.schema import Finite
 
 Vector = tuple[Finite, Finite, Finite]
+ORIGIN: Vector = (0.0, 0.0, 0.0)
 Axis = str | Vector
 AXES: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 

@@ -19,8 +19,7 @@ from slipfree.core.arguments import checked
 from slipfree.laws.coulomb import SlipStiffness, check_friction, squared_creep
 from slipfree.laws.protocols import BodyTouch, GroundForce, WheelContact
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Vehicle, Wheel
 
 SMALLEST_SPEED = 1e-12  # added to speeds under a root, whose derivative is then finite [m/s]
 

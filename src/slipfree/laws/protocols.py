@@ -13,8 +13,7 @@ from slipfree.core.dae import Continuation, Limit
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, Label
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Vehicle, Wheel
 
 
 class Equations(NamedTuple):

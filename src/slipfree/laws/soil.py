@@ -79,8 +79,7 @@ from slipfree.laws.protocols import (
     wheel_labels,
 )
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle, Wheel
 
 OF_THE_LAW = (
     "grouser_height",

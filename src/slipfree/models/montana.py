@@ -55,8 +55,7 @@ from slipfree.models.kinematics import contact_labels, slip_equations
 from slipfree.models.limits import limits_of, tip_over_margin
 from slipfree.models.samples import slip_velocities
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Vehicle, Wheel
 
 
 class Forms(NamedTuple):

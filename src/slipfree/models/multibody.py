@@ -20,8 +20,7 @@ import casadi as ca
 
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.vehicle.formula import evaluate
-from slipfree.vehicle.tree import Vehicle, body_inertia, body_of
-from slipfree.vehicle.wheel import Wheel, wheel_inertia
+from slipfree.vehicle.tree import Vehicle, Wheel, body_inertia, body_of, wheel_inertia
 
 UP = ca.SX(ca.DM([0, 0, 1]))
 

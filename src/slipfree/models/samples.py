@@ -20,8 +20,7 @@ from slipfree.models.base import State, carriers, joint_rates, spins
 from slipfree.models.limits import UPRIGHT
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import HEIGHT_TOLERANCE, Prism
-from slipfree.vehicle.tree import Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Vehicle, Wheel
 
 CLOSEST = "clearance_body_place"  # fact: the body that comes closest to the ground, and the place
 POSITION = ("x", "y", "z", "heading", "roll", "pitch")

@@ -21,8 +21,7 @@ from slipfree.files.urdf.elements import read_tree
 from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.reader import forward_guess, read_urdf
-from slipfree.files.urdf.roles import NO_ROLES, UrdfTable, completed
-from slipfree.files.urdf.tree import Tree
+from slipfree.files.urdf.tree import NO_ROLES, Tree, UrdfTable, completed
 from slipfree.files.urdf.xml import check_ending, is_description, parse_robot
 from slipfree.files.vehicle_toml import (
     PARTS,

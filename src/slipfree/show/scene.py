@@ -44,8 +44,7 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import cut
 from slipfree.terrain.solids import Prism
 from slipfree.vehicle.sections import TriangleMesh
-from slipfree.vehicle.tree import Joint, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Joint, Vehicle, Wheel
 
 BLOCKED = (120, 120, 120)  # colour of blocked nodes
 LONGEST = 0.6  # length of the longest arrows [reach of the vehicle]

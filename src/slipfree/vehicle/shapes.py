@@ -17,8 +17,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, field_overview
 from slipfree.core.schema import Positive
-from slipfree.geometry.frame import Pose, Vector, translation, turn
-from slipfree.vehicle.wheel import ORIGIN
+from slipfree.geometry.frame import ORIGIN, Pose, Vector, translation, turn
 
 
 @checked

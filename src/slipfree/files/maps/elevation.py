@@ -22,7 +22,6 @@ from slipfree.core.errors import DataError, ModelError, missing_package
 from slipfree.core.records import Array, Mask
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.maps import raster
-from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.reference_systems import (
     LENGTHS,
     UNKNOWN_ZONE,
@@ -181,7 +180,7 @@ def read_points(path: Path, ask: raster.Reading) -> Heights:
     if (farthest := float(np.abs(table).max(initial=0.0))) > MAX_COORDINATE:
         wanted = f"coordinates with absolute values of at most {MAX_COORDINATE:g} m"
         refuse(wanted, f"{farthest:g}", "correct the file")
-    check_values(
+    raster.check_values(
         table[:, 2],
         lambda k: f"x = {table[k[0], 0]:.9g}, y = {table[k[0], 1]:.9g}",
         lambda _, value: f"remove the lines with z = {value}",
@@ -293,7 +292,7 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
     if len(points) < 3:
         remedy = "use another file" if near is None else "enlarge or move the window"
         refuse("at least 3 points", f"{len(points)}", remedy)
-    check_values(
+    raster.check_values(
         points[:, 2],
         lambda k: f"x = {points[k][0]:.9g}, y = {points[k][1]:.9g}",
         lambda marker, _: (
@@ -783,7 +782,7 @@ def _read_npz(path: Path, ask: raster.Reading) -> Heights:
         raise DataError(str(error).removeprefix("Grid: ")) from error
     axes = axes_of(x, y)
     i, j = parts(*axes, ask.window)
-    check_values(
+    raster.check_values(
         z[i, j],
         lambda k: f"x = {x[i][k[0]]:.9g}, y = {y[j][k[1]]:.9g}",
         lambda _, value: f"set them to NaN: z[z == {value}] = numpy.nan",

@@ -13,9 +13,8 @@ from slipfree.files.urdf.evidence import actuators, plugins
 from slipfree.files.urdf.wheels import with_separate_balls
 from slipfree.files.urdf.xml import Element, number_in, parse_robot
 from slipfree.files.vehicle_toml import MAX_LENGTH, degrees_words, in_order, rotation_of
-from slipfree.geometry.frame import Vector, in_axes, is_inertia
+from slipfree.geometry.frame import ORIGIN, Vector, in_axes, is_inertia
 from slipfree.vehicle.shapes import Box
-from slipfree.vehicle.wheel import ORIGIN
 
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 DUMMY_MASS = 0.01  # largest mass of links that only place the robot, in masses of the robot

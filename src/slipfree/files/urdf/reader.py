@@ -14,8 +14,19 @@ from slipfree.core.records import Array
 from slipfree.files import vehicle_toml
 from slipfree.files.urdf import evidence
 from slipfree.files.urdf.meshes import body_shapes
-from slipfree.files.urdf.roles import NO_ROLES, JointRole, UrdfTable, WheelRole, completed, coupled
-from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
+from slipfree.files.urdf.tree import (
+    NO_ROLES,
+    Findings,
+    JointRole,
+    Mimic,
+    Tree,
+    UrdfJoint,
+    UrdfTable,
+    WheelRole,
+    completed,
+    coupled,
+    facing_forward,
+)
 from slipfree.files.urdf.wheels import (
     PARALLEL,
     SMALL,

@@ -39,7 +39,6 @@ from slipfree.files.urdf.meshes import (
     unit_factor,
     unit_words,
 )
-from slipfree.files.urdf.roles import UrdfTable, WheelRole
 from slipfree.files.urdf.tree import (
     MAX_ECCENTRICITY,
     STEEP,
@@ -49,6 +48,8 @@ from slipfree.files.urdf.tree import (
     Shape,
     Tree,
     UrdfJoint,
+    UrdfTable,
+    WheelRole,
     eccentricity,
     is_about,
     lowest,
@@ -62,9 +63,9 @@ from slipfree.files.vehicle_toml import (
     toml_value,
     vector_of,
 )
-from slipfree.geometry.frame import Vector, tensor, unit_vector
+from slipfree.geometry.frame import ORIGIN, Vector, tensor, unit_vector
 from slipfree.vehicle.sections import section_of_radii
-from slipfree.vehicle.wheel import ORIGIN, Wheel
+from slipfree.vehicle.tree import Wheel
 
 OMNI_ANGLE = "90 deg"  # angle of the rollers of omni wheels
 MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
