@@ -212,29 +212,25 @@ def _model(vehicle: Vehicle, grid: Grid, rates: GivenRates) -> _Model:
     ends = np.cumsum([0, *(len(labels) for labels in inverse.labels.alg)]).tolist()
     pairs = list(pairwise(ends))[1:-1]  # neither the positions nor the forces
     blocks = [(rows, z[a:b]) for rows, (a, b) in zip(inverse.residuals[1:-1], pairs, strict=True)]
-    pose, answers = ca.vertcat(x[n:], z[: ends[1]]), list(_answers(direct, inverse))
-    answer = ca.vertcat(*(expression for _, expression in answers))
-    labels = [label for label, _ in answers]
-    return _Model(direct, inverse, relaxing, x[:n], pose, u, blocks, answer, labels)
-
-
-def _answers(direct: Dae, inverse: Dae) -> Iterator[tuple[Label, ca.SX]]:
-    """Yield rates of wheels and joints, targets of steered joints, and velocities."""
-    yield from zip(direct.labels.u.wheels, direct.u.wheels, strict=True)
+    # answers: rates of wheels and joints, targets of steered joints, and velocities
+    answers: list[tuple[Label, ca.SX]] = [
+        *zip(direct.labels.u.wheels, direct.u.wheels, strict=True)
+    ]
     outputs = dict(zip((label.name for label in inverse.labels.y[1]), inverse.y[1], strict=True))
     states = zip(leaves(direct.labels.x), leaves(direct.x), strict=True)
     joints = {label.name: value for label, value in states}
-    vehicle = direct.vehicle
     for c, label in zip(vehicle.of("commanded"), direct.labels.u.joints, strict=True):
-        yield label, outputs.get(label.name, ca.SX(0))
+        answers.append((label, outputs.get(label.name, ca.SX(0))))
         if f"{c.name}_error" in outputs:
             words = f"target of {c.words or c.name}"
             target = Label(f"{c.name}_target", vehicle.unit(c.name), words)
-            yield target, joints[c.name] + outputs[f"{c.name}_error"]
-    rates = direct.labels.z.rates.passive, direct.z.rates.passive
-    yield from zip(*rates, strict=True)
+            answers.append((target, joints[c.name] + outputs[f"{c.name}_error"]))
+    answers += zip(direct.labels.z.rates.passive, direct.z.rates.passive, strict=True)
     derived = derived_rates(direct)
-    yield from (derived[name] for name in COMMANDS)
+    answers += [derived[name] for name in COMMANDS]
+    answer = ca.vertcat(*(expression for _, expression in answers))
+    labels, pose = [label for label, _ in answers], ca.vertcat(x[n:], z[: ends[1]])
+    return _Model(direct, inverse, relaxing, x[:n], pose, u, blocks, answer, labels)
 
 
 def _fields(model: _Model, frame: Frame) -> _Fields:

@@ -427,7 +427,7 @@ def open_netcdf(path: Path) -> NetcdfFile:
     return NetcdfFile(path, path.open("rb"), attributes, variables)
 
 
-def _variable(variable: Any) -> _Variable:
+def _variable(variable: Any) -> _Variable:  # which ends all references to the mapped file
     data = root = variable.data
     while isinstance(root.base, np.ndarray):
         root = root.base
@@ -483,31 +483,30 @@ def _trajectory(file: NetcdfFile) -> Trajectory:
         for name, value in stored.items()
         if name not in RESERVED and not name.startswith(STATISTICS)
     }
+    labels = dict[str, Label]()
+    for name in order:
+        dimensions, shape, dtype, _, texts = variables[name]
+        found = ""
+        if sizes.get(dimensions) != shape:
+            found = (
+                f"the variable {name!r} with dimensions ({', '.join(dimensions)}) and shape {shape}"
+            )
+        elif dtype == "S1":
+            found = f"text in the variable {name!r}"
+        elif absent := [key for key in ("units", "long_name") if key not in texts]:
+            found = f"the variable {name!r} without the attribute {absent[0]!r}"
+        if found:
+            raise result_fault(file.path, found)
+        labels[name] = Label(name, str(texts["units"]), str(texts["long_name"]))
     return Trajectory(
         t,
-        _Columns(file, {name: _label(file, name, sizes) for name in order}),
+        _Columns(file, labels),
         names,
         stop,
         {k.removeprefix(STATISTICS): file.number(k) for k in stored if k.startswith(STATISTICS)},
         attributes,
         facts,
     )
-
-
-def _label(file: NetcdfFile, name: str, sizes: Mapping[tuple[str, ...], tuple[int, ...]]) -> Label:
-    """Return the label of a quantity; raise DataError if it is invalid."""
-    dimensions, shape, dtype, _, words = file.variables[name]
-    if sizes.get(dimensions) != shape:
-        raise result_fault(
-            file.path,
-            f"the variable {name!r} with dimensions ({', '.join(dimensions)}) and shape {shape}",
-        )
-    if dtype == "S1":
-        raise result_fault(file.path, f"text in the variable {name!r}")
-    for key in ("units", "long_name"):
-        if key not in words:
-            raise result_fault(file.path, f"the variable {name!r} without the attribute {key!r}")
-    return Label(name, str(words["units"]), str(words["long_name"]))
 
 
 class _Columns(Mapping[str, Column]):

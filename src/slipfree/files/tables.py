@@ -304,8 +304,19 @@ def _opened(path: Path, expected: str) -> _TextTable:
         is_split = not any(_is_row(cell.split(), None) for cell in cells)
         if is_split and any(_is_number(cell, separator) for cell in cells):
             candidates.append((count, separator, width))
-    if not candidates:
-        return _layout_of_names(path, file, lines)
+    if not candidates:  # a table without rows, or rows that are not numbers
+        used = [(k, text) for k, line in enumerate(lines, 1) if (text := _line_body(line, None))]
+        if not used:
+            raise DataError(f"{path}: expected a table, found an empty file; write it again")
+        for number, text in used[1:]:
+            if re.search(r"\d", text):
+                raise DataError(
+                    f"{path}:{number}: expected two or more numbers, found {text[:SHOWN]!r}; write "
+                    "numbers as in 1.5 or 1.5e-3, separated by commas, semicolons, tabs or blanks"
+                )
+        text = used[0][1]
+        separator = next((each for each in SEPARATORS[:-1] if each in text), None)
+        return _TextTable(path, file, separator, 0, text, _line_cells(text, separator), [], [])
     _, separator, width = max(candidates, key=lambda candidate: candidate[0])
     return _layout_with(path, file, lines, separator, width)
 
@@ -347,22 +358,6 @@ def _converts(convert: Callable[..., float], *arguments: str | None) -> bool:
 
 def _is_row(words: Sequence[str], separator: str | None) -> bool:
     return len(words) > 1 and all(_is_number(word, separator) for word in words)
-
-
-def _layout_of_names(path: Path, file: TextIO, lines: Sequence[str]) -> _TextTable:
-    """Return the layout of a table without rows; raise DataError for rows that are not numbers."""
-    used = [(k, text) for k, line in enumerate(lines, 1) if (text := _line_body(line, None))]
-    if not used:
-        raise DataError(f"{path}: expected a table, found an empty file; write it again")
-    for number, text in used[1:]:
-        if re.search(r"\d", text):
-            raise DataError(
-                f"{path}:{number}: expected two or more numbers, found {text[:SHOWN]!r}; write "
-                "numbers as in 1.5 or 1.5e-3, separated by commas, semicolons, tabs or blanks"
-            )
-    text = used[0][1]
-    separator = next((each for each in SEPARATORS[:-1] if each in text), None)
-    return _TextTable(path, file, separator, 0, text, _line_cells(text, separator), [], [])
 
 
 def _layout_with(
@@ -451,8 +446,17 @@ def _choose(
             [k for k, (title, _) in enumerate(bases) if title.lower().endswith(f"position.{base}")],
         )
         indices = next((rank for rank in ranks if rank), [])
-        if len(indices) != 1 and (parts := _parts(key, name, names)):
-            chosen |= parts
+        # the columns from which a quantity follows, by its name and part, if they are clear
+        pattern, required = PARTS.get(key, (None, ""))
+        stems = dict[str, dict[str, tuple[int, str]]]()
+        for k, title in enumerate(names if pattern and len(indices) != 1 else ()):
+            match = pattern.match(title) if pattern else None
+            if match and match[1].startswith(name * (name != key)):
+                stems.setdefault(match[1], {})[f"{key}:{match[2][0].lower()}"] = k, ""
+        needed = {f"{key}:{part}" for part in required}
+        complete = [parts for parts in stems.values() if needed <= {*parts}]
+        if len(complete) == 1:
+            chosen |= complete[0]
             continue
         if len(indices) != 1:
             columns = ", ".join(dict.fromkeys(requested.values()))
@@ -467,23 +471,6 @@ def _choose(
         k = indices[0]
         chosen[key] = k, unit or bases[k][1] or (layout.units[k] if layout.units else "")
     return chosen
-
-
-def _parts(key: str, name: str, names: Sequence[str]) -> dict[str, tuple[int, str]]:
-    """Return the columns from which a quantity follows, by its name and part, if they are clear."""
-    pattern, required = PARTS.get(key, (None, ""))
-    stems = dict[str, dict[str, tuple[int, str]]]()
-    for k, title in enumerate(names):
-        if (
-            pattern
-            and (match := pattern.match(title))
-            and match[1].startswith(name * (name != key))
-        ):
-            stems.setdefault(match[1], {})[f"{key}:{match[2][0].lower()}"] = k, ""
-    complete = [
-        parts for parts in stems.values() if {f"{key}:{part}" for part in required} <= {*parts}
-    ]
-    return complete[0] if len(complete) == 1 else {}
 
 
 def _read_numbers(

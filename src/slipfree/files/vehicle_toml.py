@@ -582,10 +582,9 @@ def read_toml(file: File) -> Draft:
     """Return the draft of a vehicle in a TOML file; a VehicleError has all messages and a draft."""
     table: VehicleTable = validated(VehicleTable, file)
     faults = [
-        *_name_errors(table),
         *starmap(toml.Fault, tree.part_faults(table.coordinates, table.joints, table.wheels, ADD)),
         *_loop_errors(table),
-        *_dimension_errors(table),
+        *_part_errors(table),
         *couple_errors(table.couple, [joint.name for joint in table.joints]),
     ]
     faults += [] if faults else _differential_errors(table)
@@ -637,23 +636,6 @@ def _differential_errors(table: VehicleTable) -> Iterator[toml.Fault]:
             yield toml.Fault(("couple", name), expected, found)
 
 
-def _name_errors(table: VehicleTable) -> Iterator[toml.Fault]:
-    """Yield an error for each name that is reserved or has invalid characters."""
-    for part in ("coordinates", "wheels"):
-        for index, row in enumerate(getattr(table, part)):
-            place = (part, index, "name")
-            if part == "wheels" and not re.fullmatch(r"[\w-]+", row.name):
-                yield toml.Fault(
-                    place, "a name of letters, digits, _ and -", f"{row.name!r}; rename it"
-                )
-            if part == "coordinates" and not is_symbol(row.name):
-                expected = "a name of letters, digits and _ that does not begin with a digit"
-                if row.name.isidentifier():
-                    expected = "a name other than those of functions, constants, states of the "
-                    expected += "platform and Python keywords"
-                yield toml.Fault(place, expected, f"{row.name!r}; rename it")
-
-
 def _loop_errors(table: VehicleTable) -> Iterator[toml.Fault]:
     """Yield an error for each loop of parents."""
     parents = {joint.name: joint.parent for joint in table.joints}
@@ -668,12 +650,18 @@ def _loop_errors(table: VehicleTable) -> Iterator[toml.Fault]:
             yield toml.Fault(("joints", index, "parent"), "a tree with the root 'platform'", found)
 
 
-def _dimension_errors(table: VehicleTable) -> Iterator[toml.Fault]:
-    """Yield errors in the limits of coordinates and their units, and in dimensions of wheels."""
+def _part_errors(table: VehicleTable) -> Iterator[toml.Fault]:
+    """Yield errors in names, in limits of coordinates and their units, and in sizes of wheels."""
     slides = {
         name for joint in table.joints if joint.motion == "slide" for name in _names_in(joint.value)
     }
     for index, c in enumerate(table.coordinates):
+        if not is_symbol(c.name):
+            expected = "a name of letters, digits and _ that does not begin with a digit"
+            if c.name.isidentifier():
+                expected = "a name other than those of functions, constants, states of the "
+                expected += "platform and Python keywords"
+            yield toml.Fault(("coordinates", index, "name"), expected, f"{c.name!r}; rename it")
         for key in ("lower", "upper", "rest"):
             value = getattr(c, key) or 0.0
             if c.name in slides and abs(value) > MAX_LENGTH:
@@ -685,6 +673,9 @@ def _dimension_errors(table: VehicleTable) -> Iterator[toml.Fault]:
         units = dict.fromkeys(values, unit) | {"max_rate": f"{unit} s-1"}
         yield from toml.unit_faults(("coordinates", index), values, units)
     for index, wheel in enumerate(table.wheels):
+        if not re.fullmatch(r"[\w-]+", wheel.name):
+            expected = "a name of letters, digits, _ and -"
+            yield toml.Fault(("wheels", index, "name"), expected, f"{wheel.name!r}; rename it")
         if isinstance(wheel, WheelTable) and wheel.tube > wheel.radius:
             expected = f"at most the radius, {wheel.radius:g} m (a ball)"
             yield toml.Fault(("wheels", index, "tube"), expected, f"{wheel.tube:g}; reduce it")
@@ -725,12 +716,17 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[toml.Fault]]:
         keys = table.model_dump(exclude={"mass", "center_of_mass", "inertia", "shapes"})
         return tree.Joint(**keys, body=next(bodies))
 
+    def wheel(each: AnyWheelTable) -> Wheel:
+        keys = each.model_dump(include={field.name for field in fields(Wheel)})
+        axle = SIDEWAYS[table.frame] if each.axle is None else each.axle
+        return Wheel(**keys | {"section": _section_of(each), "axle": axle, "drive": each.drive})
+
     coordinates = build("coordinates", coordinate)
     bodies = iter([_body(part, faults, ("joints", k)) for k, part in enumerate(table.joints)])
     joints = {joint.name: joint for joint in build("joints", joint)}
     parents = {name: joint.parent for name, joint in joints.items()}
     hung, loose = in_order(parents, "platform")
-    wheels = build("wheels", lambda each: _wheel(each, SIDEWAYS[table.frame]))
+    wheels = build("wheels", wheel)
     body = _body(table, faults, ())
     ordered = tuple(joints[name] for name in (*hung, *loose))
     draft = Draft(table.name, coordinates, ordered, wheels, body, planar=table.planar)
@@ -746,12 +742,6 @@ def _body(
     except ModelError as error:
         faults.append(toml.Fault((*place, "inertia"), "a valid inertia", str(error)))
         return tree.Body(table.mass, table.center_of_mass, shapes=shapes)
-
-
-def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
-    keys = table.model_dump(include={field.name for field in fields(Wheel)})
-    axle = sideways if table.axle is None else table.axle
-    return Wheel(**keys | {"section": _section_of(table), "axle": axle, "drive": table.drive})
 
 
 def _section_of(table: AnyWheelTable) -> Section:

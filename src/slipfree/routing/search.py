@@ -264,28 +264,23 @@ def _objective(field: _CostField, p: Array, aim: _Objective) -> tuple[float, Arr
     for weights, part in gradients:
         for k, weight in enumerate(weights):
             gradient[k : k + len(part)] += weight * part
-    return float(total), gradient, _banded(hessians, len(p))
-
-
-def _outer_squares(vectors: Array) -> Array:
-    """Return the outer product of each vector with itself, shape (n, 2, 2)."""
-    return np.asarray(vectors[:, :, None] * vectors[:, None, :])
-
-
-def _banded(terms: Iterable[tuple[Array, Array]], count: int) -> Array:
-    """Return the Hessian of the inner points in upper banded form, shape (6, 2 count - 4)."""
-    blocks = np.zeros((3, count, 2, 2))  # blocks[o, k] couples point k to point k + o
-    for weights, part in terms:
+    blocks = np.zeros((3, len(p), 2, 2))  # blocks[o, k] couples point k to point k + o
+    for weights, part in hessians:
         for a in range(len(weights)):
             for b in range(a, len(weights)):
                 blocks[b - a, a : a + len(part)] += weights[a] * weights[b] * part
-    inner = count - 2
+    inner = len(p) - 2
     bands = np.zeros((6, 2 * inner))
     for o, c, d in np.ndindex(3, 2, 2):
         if 2 * o + d >= c:
             # The diagonal is the last of the six rows, as LAPACK requires.
             bands[5 - (2 * o + d - c), 2 * o + d :: 2] = blocks[o, 1 : 1 + inner - o, c, d]
-    return bands
+    return float(total), gradient, bands
+
+
+def _outer_squares(vectors: Array) -> Array:
+    """Return the outer product of each vector with itself, shape (n, 2, 2)."""
+    return np.asarray(vectors[:, :, None] * vectors[:, None, :])
 
 
 def _bilinear(values: Array, field: _CostField, points: Array) -> tuple[Array, Array]:
