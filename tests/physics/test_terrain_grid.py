@@ -234,7 +234,7 @@ def test_a_wheel_touches_once():
 
 
 def test_a_radius_that_is_not_positive_or_larger_than_the_ground_is_refused():
-    with pytest.raises(ModelError, match="radius must be a positive number"):
+    with pytest.raises(ModelError, match="rolled: radius: expected a number, found float nan"):
         rolled(blank((0, 1), (0, 1), 0.1), np.nan)
     with pytest.raises(ModelError, match=r"radius must be at most 0\.6667"):
         rolled(blank((0.0, 2.0), (0.0, 4.0), 0.1), 1e9)

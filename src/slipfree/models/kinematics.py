@@ -97,12 +97,22 @@ def closure_dae(
     heights, centers = base.level_heights(q)
     pose = ca.vertcat(ca.sum1(heights) / len(centers), ca.SX.zeros(2 + len(q.position.suspension)))
     others = base.at_rest(q.vehicle, labels.z[1:])
+    # relative to the platform's centre: to subtract large coordinates first avoids loss of digits
+    level, zero = q.x._replace(x=ca.SX(0), y=ca.SX(0)), q.position._replace(z=ca.SX(0))
+    arms = [pose.origin for pose in base.carriers(q._replace(x=level, position=zero))]
+    center = ca.vertcat(q.x.x, q.x.y, q.position.z)
+    closures = [
+        closure(wheel, Pose(carrier.rotation, arm), each._replace(point=each.point - center))
+        for wheel, carrier, arm, each in zip(
+            q.vehicle.wheels, q.poses, arms, q.contacts, strict=True
+        )
+    ]
     return base.vehicle_dae(
         q,
         labels,
         q.x,
         z,
-        (Equations(labels.alg[0], _closures(q)), law, Equations(labels.alg[2], forces)),
+        (Equations(labels.alg[0], ca.vertcat(*closures)), law, Equations(labels.alg[2], forces)),
         sampled,
         ode=ca.vertcat(q.rates.x, q.rates.y, q.rates.heading, *base.joint_rates(q)),
         y=y._replace(slip_ratio=base.slip_ratios(q)) if labels.y.slip_ratio else y,
@@ -115,24 +125,6 @@ def closure_dae(
         discs=discs,
         holding=holding if q.vehicle.mass else None,
         leading_rates=ca.vertcat(rates.z, rates.roll, rates.pitch, *rates.suspension),
-    )
-
-
-def _closures(q: base.Quantities) -> ca.SX:
-    """Return the contact residuals of all wheels, computed relative to the platform's centre.
-
-    Subtracting large coordinates first avoids loss of digits.
-    """
-    level, zero = q.x._replace(x=ca.SX(0), y=ca.SX(0)), q.position._replace(z=ca.SX(0))
-    arms = [pose.origin for pose in base.carriers(q._replace(x=level, position=zero))]
-    center = ca.vertcat(q.x.x, q.x.y, q.position.z)
-    return ca.vertcat(
-        *(
-            closure(wheel, Pose(carrier.rotation, arm), each._replace(point=each.point - center))
-            for wheel, carrier, arm, each in zip(
-                q.vehicle.wheels, q.poses, arms, q.contacts, strict=True
-            )
-        )
     )
 
 

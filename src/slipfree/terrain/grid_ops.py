@@ -12,8 +12,10 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array, Mask
+from slipfree.core.schema import Length
 from slipfree.terrain.base import Grid
 
 MAX_NODES = 5e7  # largest number of nodes of a ground; an array then takes 400 MB
@@ -284,7 +286,8 @@ def averaged(z: Array, steps: tuple[float, float], deviation: float) -> Array:
     return np.ascontiguousarray(mean[pad[0] : -pad[0], pad[1] : -pad[1]])
 
 
-def disturbed(grid: Grid, rms: float, correlation: float, seed: int) -> Grid:
+@checked
+def disturbed(grid: Grid, rms: Length, correlation: Length, seed: int) -> Grid:
     """Return a ground with a random elevation error added.
 
     Parameters
@@ -311,12 +314,6 @@ def disturbed(grid: Grid, rms: float, correlation: float, seed: int) -> Grid:
     processes by spectral representation", Applied Mechanics Reviews 44, 1991). It is a function of
     position only, independent of the window and of the spacing of the grid.
     """
-    if not (rms > 0 and correlation > 0):
-        raise ModelError(
-            "elevation error: expected rms and correlation above 0 m, found "
-            f"rms = {rms:g} m and correlation = {correlation:g} m; give positive lengths, or "
-            "remove the error"
-        )
     rng = np.random.default_rng(seed)
     # variance 2 / correlation**2 of each component: E cos(k d) = exp(-(d / correlation)**2)
     k_x, k_y = rng.standard_normal((2, WAVES)) * (math.sqrt(2) / correlation)

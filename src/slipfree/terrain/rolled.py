@@ -7,8 +7,10 @@ import math
 import numpy as np
 import scipy
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
+from slipfree.core.schema import Length
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import Changed, averaged
@@ -18,7 +20,8 @@ BALL = 1.5  # radius of the closing ball, in wheel radii
 BLUR = 0.25  # standard deviation of the Gaussian, in wheel radii
 
 
-def rolled(grid: Grid, radius: float) -> Changed:
+@checked
+def rolled(grid: Grid, radius: Length) -> Changed:
     """Return a ground whose hollows are filled for a wheel of the given radius.
 
     The wheel then has a single contact point almost everywhere. The nodes of the result are at most
@@ -52,11 +55,6 @@ def rolled(grid: Grid, radius: float) -> Changed:
     Outside the grid the ground continues by point reflection about the border node, which preserves
     slopes.
     """
-    if not (math.isfinite(radius) and radius > 0):
-        raise ModelError(
-            f"rolled: radius must be a positive number of metres, found {radius}; give the rolling "
-            "radius of the largest wheel"
-        )
     extent = min(float(np.ptp(grid.x)), float(np.ptp(grid.y)))
     if BALL * radius > extent / 2:
         raise ModelError(
