@@ -440,12 +440,3 @@ def test_path_from_a_file(folder):
     (folder / "way.csv").write_text("x,y\n0.0,0.0\n0.0;1.0\n")
     result = invoke("check", "p.toml", *law, code=2)
     assert "way.csv:3: expected two numbers x,y, found '0.0;1.0'" in result.stderr
-    for wrong, words in (
-        ('driver={name="follow", speed=0.2}', "driver: name = 'follow' requires either 'path'"),
-        ('driver={name="follow", speed=0.2, file="no.csv"}', "found that it cannot be read"),
-        (
-            'driver={name="straight", speed=0.2, file="way.csv"}',
-            "expected no path with name = 'straight'",
-        ),
-    ):
-        assert words in refused("check", "p.toml", "--set", wrong)

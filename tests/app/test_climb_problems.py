@@ -75,13 +75,6 @@ def test_a_sampled_controller_climbs_as_the_continuous_one():
     assert "rear_torque" in sampled.columns
 
 
-@pytest.mark.slow
-def test_stairs_are_climbed():
-    run = run_problem(load_problem(STAIRS_FILE, ["driver.period=", *COARSE])).trajectory
-    assert run.facts["obstacles"].value == "climbs"
-    np.testing.assert_allclose(run["center_z"][-1], 3 * 0.06 + 0.066, atol=1e-3)
-
-
 def test_a_vehicle_file_climbs_as_the_catalogue():
     Path("climber.toml").write_text(vehicle_text(step_climber()))
     brief = ["time.duration=0.5", *COARSE]

@@ -144,21 +144,6 @@ def test_problems_take_soils_by_name_and_regions(tmp_path):
     assert (region.width, region.region) == (0.2, Region.disc(0.0, 1.0, 0.5))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("width = 0.2", "", "law.soil.regions[0].width: expected a value, found none"),
-        ("radius = 0.5", "", "expected either 'x', 'y' and 'radius' (a disc), or 'points'"),
-        ("cohesion = 700.0", "creep = 0.1", "creep: expected one of x, y, radius, points, "),
-    ],
-)
-def test_errors_of_regions_name_the_key(tmp_path, old, new, words):
-    path = tmp_path / "p.toml"
-    path.write_text(SAND + PATCH.replace(old, new))
-    done = invoke("check", str(path), code=2)
-    assert words in " ".join(done.output.split())
-
-
 FIT = (DATA / "fit_soil.toml").read_text()
 
 

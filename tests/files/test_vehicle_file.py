@@ -358,35 +358,6 @@ def test_a_run_parses_its_vehicle_and_reads_its_map_once(monkeypatch):
     assert sorted(files) == ["g.npz", "v.toml"]
 
 
-@pytest.mark.parametrize(
-    ("setting", "words"),
-    [
-        ("vehicle.catalog=rocky7", "expected exactly one of catalog, file, found catalog and file"),
-        ("vehicle.mass=3", "--set vehicle.mass: expected one of catalog, file, actuated, found th"),
-        ("vehicle.file=v.txt", "expected a vehicle file that ends in .toml, .urdf or .xacro, foun"),
-    ],
-)
-@pytest.mark.usefixtures("folder")
-def test_faults_of_the_table(setting, words):
-    assert words in refused("check", "p.toml", "--set", setting)
-
-
-@pytest.mark.parametrize(
-    ("keys", "words"),
-    [
-        ('catalog = "rocky7"\nsteerd = 1', "did you mean 'steered'? expected one of catalog, stee"),
-        ('catalog = "rocky7"\nsteered = "rear"', "p.toml:5: vehicle.steered: expected 'front' or "),
-        ('catalog = "rocky8"', "p.toml:4: vehicle.catalog: expected 'ackermann', 'articulated"),
-    ],
-)
-def test_keys_of_the_catalogue_are_those_of_its_function(keys, words, folder):
-    rest = PROBLEM.replace('vehicle.file = "v.toml"\n', "")
-    head, _ = rest.split("start = {}\n")
-    text = f"{head}[vehicle]\n{keys}\n[start]\n[inputs]\n"
-    (folder / "p.toml").write_text(text + "[time]\nduration = 1.0\nstep = 0.5\n")
-    assert words in refused("check", "p.toml")
-
-
 def test_inertia_and_drives_are_read_with_the_axes_of_the_file(tmp_path):
     text = LONG.replace('frame = "rep103"', 'frame = "rep103"\ninertia = [2, 3, 4, 0.1, 0.2, 0.3]')
     text = text.replace(

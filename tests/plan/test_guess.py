@@ -17,7 +17,6 @@ from slipfree.files.toml import ProblemError
 from slipfree.models.rigid_dynamics import dynamic_guess
 from slipfree.plan.guess import choose_guide, initial_guess, trip_of
 from slipfree.plan.problem import free_durations, task_of
-from slipfree.problem.load import load_problem
 from slipfree.problem.result import build
 from slipfree.routing.traversability import free_space
 
@@ -129,9 +128,6 @@ def test_a_problem_file_needs_ground_vehicle_goal_and_costs(tmp_path: Path):
     inputs = "inputs={right_rate=1.0, left_rate=1.0, steer_rate=0.0}"
     with pytest.raises(ProblemError, match=r"time\.duration: expected the duration of the initial"):
         sf.load_problem(file, [inputs])
-    driver = "driver={name='straight', speed=1.0}"
-    with pytest.raises(ProblemError, match="driver: expected at most one initial guess"):
-        sf.load_problem(file, [inputs, driver, "time.duration=2.0"])
 
 
 # Plans with inertia: rigid model, initial guess, and simulation of the plans
@@ -291,30 +287,3 @@ def test_plan_of_a_rigid_four_wheeler_with_momentum():
     vehicle, ground = with_torques(sf.catalog.rigid_skid_steer()), ridge(0.06)
     model = sf.rigid_dynamics(vehicle, ground)
     assert_planned(model, *straight_guess(model, vehicle, ground, 0.9, 1.9), 4.0)
-
-
-def test_dynamic_plan_refuses_options_by_name(tmp_path):
-    text = """\
-verb = "plan"
-model = "dynamics"
-terrain.friction = 0.8
-terrain.synthetic = { x = [-3, 3], y = [-3, 3], spacing = 0.5 }
-vehicle.catalog = "skid_steer"
-start = { x = 0.0 }
-goal = { y = 1.0 }
-costs = { time = 1.0 }
-driver = { name = "straight", speed = 0.5 }
-time = { duration = 2.0, step = 0.1 }
-"""
-    file = tmp_path / "p.toml"
-    file.write_text(text, encoding="utf-8")
-    load_problem(file)
-    for setting, words in (
-        ("plan.starts=3", "no 'starts' with model = 'dynamics'"),
-        ("plan.window=2.0", "no 'window' with model = 'dynamics'"),
-        ("plan.robust={friction=0.1}", "no 'robust' with model = 'dynamics'"),
-    ):
-        refuses(ProblemError, words, load_problem, file, (setting,))
-    settings = ("model=quasi-static", "plan.sliding=true")
-    with pytest.raises(ProblemError, match=r"plan\.sliding: expected model = 'dynamics'"):
-        load_problem(file, settings)

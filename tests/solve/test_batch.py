@@ -123,22 +123,13 @@ def test_states_at_which_pivots_are_chosen_do_not_depend_on_other_rows(model):
 
 
 @pytest.mark.slow
-def test_a_damaged_library_is_compiled_again(model, tmp_path, monkeypatch, rng):
-    """The compiled graphs are in the cache of all equations, private and with a checksum."""
+def test_compiled_graphs_are_in_the_private_cache_of_all_equations(model, tmp_path, monkeypatch):
     monkeypatch.setenv(codegen_cache.FOLDER, str(tmp_path / "own"))
     evaluator_of.cache_clear()
     evaluate = evaluator_of(model)
-    states = start_states(evaluate.graphs, {"x": rng.normal(size=5)})
-    before = evaluate(evaluate.graphs.place, states)
+    evaluate(evaluate.graphs.place, start_states(evaluate.graphs, {"x": np.zeros(5)}))
     (library,) = (tmp_path / "own").glob("*.so")
     assert library.stat().st_mode & 0o077 == 0
-    content = library.read_bytes()
-    library.unlink()  # what is loaded from it stays
-    library.write_bytes(content[: len(content) // 2])
-    evaluator_of.cache_clear()
-    again = evaluator_of(model)
-    assert_array_equal(again(again.graphs.place, states), before)
-    assert library.stat().st_size == len(content)
 
 
 def test_poses_equal_those_of_settle(model, rng):
