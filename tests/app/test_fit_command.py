@@ -202,6 +202,7 @@ CIRCLE = np.column_stack([TIMES, 3 + 0 * TIMES, 4 + 0 * TIMES, np.sin(YAW), 1 - 
         ({0: 1 / 60}, "times in minutes, as in 't [minutes]'"),
         ({1: 30 / np.pi, 2: 30 / np.pi}, "rates in rpm, as in 'left [rpm]'"),
         ({3: 1e3, 4: 1e3}, "positions in mm, as in 'x [mm]'"),
+        ({0: 1 / 86400}, "probably another unit"),
     ],
 )
 def test_units_by_the_travel_of_the_wheels(factors: dict[int, float], words: str) -> None:

@@ -63,17 +63,21 @@ LAYOUTS = {
     "title above the names": "Measured on Tuesday\n\n" + _text(";"),
     "line of units": _text(head="t,x,heading\ns,m,rad"),
     "further columns": "id," + _text().replace("\n", ",stone\na,").removesuffix("a,"),
-    "milliseconds and degrees": _text(";", "t_ms,x [mm],yaw [°]", [1e-3, 1e-3, np.pi / 180]).encode(
+    "milliseconds and degrees": _text(";", "t_ms,x [mm],yaw_mrad", [1e-3, 1e-3, 1e-3]).encode(
         "latin-1"
     ),
     "dates": _text()
     .replace("\n0.0", "\n2026-03-01 12:00:00")
     .replace("\n0.5", "\n2026-03-01T12:00:00.5")
     .replace("\n1.0", "\n2026-03-01T12:00:01Z"),
-    "times of day": _text()
-    .replace("\n0.0", "\n12:00:59.5")
-    .replace("\n0.5", "\n12:01:00")
-    .replace("\n1.0", "\n12:01:00.500"),
+    "times of day over midnight": _text()
+    .replace("\n0.0", "\n23:59:59.5")
+    .replace("\n0.5", "\n00:00:00")
+    .replace("\n1.0", "\n00:00:00.500"),
+    "minutes and seconds": _text()
+    .replace("\n0.0", "\n01:59.5")
+    .replace("\n0.5", "\n02:00.0")
+    .replace("\n1.0", "\n02:00.5"),
     "seconds and nanoseconds": _text(head="stamp.sec,stamp.nanosec,x,heading")
     .replace("\n0.0", "\n1700000000,0")
     .replace("\n0.5", "\n1700000000,500000000")

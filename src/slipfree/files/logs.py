@@ -30,6 +30,7 @@ FAR = 0.3  # least distance of a row that is away from both of its neighbours [m
 RETURN, MIXED = 0.1, 0.03  # distance of these over it, and share of such rows in mixed drives [1]
 CHORD, CHORDS = 1.0, 50  # time of chords that have a course [s], and least number of them in a log
 LEAST_CHORDS = 5
+MAX_RATIO = 50.0  # of the motion to the travel of the wheels; slip has smaller ones [1]
 ALIKE, NEAR = 0.9, 0.25  # least cosine of similar speeds, and tolerance of the ratio of units [1]
 CLEAR, CLEARER = 0.8, 0.3  # least concentration of courses about headings, and least difference
 OPPOSITE, COUNTS = 0.5, 0.95  # least correlations of turns, and of counts with the path [1]
@@ -160,7 +161,8 @@ def read_log(
     if not good.any() and t.size:
         found = ", ".join(f"{count} with {reason}" for reason, count in (+left_out).items())
         raise DataError(
-            f"{path}: expected rows with positions and inputs, found {found}; correct them"
+            f"{path}: expected rows with positions and inputs, found {found}; correct them (a "
+            "heading may be a quaternion of length one)"
         )
     return MotionLog(
         path,
@@ -443,6 +445,7 @@ def _check_travel(
     units = ", or ".join(w for w, each in ratios.items() if abs(ratio / each - 1) < NEAR)
     if likeness > ALIKE and ratio < DEGREE:
         raise _degrees(log.path, log.values, ["x", "y"])
+    units = units or "another unit" * (ratio > MAX_RATIO)
     if likeness > ALIKE and units:
         raise DataError(
             f"{log.path}: expected times in s, positions in m and rates in SI units, found a "

@@ -44,7 +44,7 @@ UNITS = {  # SI unit of a column, and factor to it
 UNIT_IN_NAME = (  # "x [m]", "time(s)"; "t / s"; "left_rad_s", "vx_m_per_s"; "yaw_deg"
     re.compile(r"^(.*?)[\s_]*[\[(]\s*(.*?)\s*[\])]$"),
     re.compile(r"^(.*?)\s*/\s*(\S+)$"),
-    re.compile(r"^(.*)_([^\W_]+_(?:per_)?[sh])$"),
+    re.compile(r"^(.*?)_([^\W_]+_(?:per_)?[sh])$"),
     re.compile(r"^(.*)_([^\W_]+)$"),
 )
 ALIASES = (  # names of the same quantity
@@ -58,6 +58,7 @@ ALIASES = (  # names of the same quantity
 )
 HEAD = 1 << 16  # bytes from which the encoding is inferred
 COUNTS = {2: "two", 3: "three", 4: "four"}
+DAY, TIME_OF_DAY = 86400.0, 10957  # length of a day [s], and that of times of day since 1970 [1]
 EPOCH = 1e8  # smallest time that counts from a fixed date, not from the start of a log [s]
 MISSING = ("", "nan", "na", "n/a", "null", "none", "-")  # cells without a number, in small letters
 PARTS = {  # columns from which a quantity follows: pattern of stem and part, and required parts
@@ -238,6 +239,8 @@ def read_columns(
         notes += [f"{title} converted from {unit} to {symbol}"] if factor != 1 else []
         column = read[name]
         if name in ALIASES[0] and column.size:
+            if np.ptp(column // DAY) == 0 and column[0] // DAY == TIME_OF_DAY:
+                column = column + DAY * np.cumsum(np.diff(column, prepend=column[0]) < -DAY / 2)
             largest = float(np.abs(column).max())
             for word, smallest, short in LARGE_TIMES:
                 if not unit and largest >= smallest:
@@ -264,6 +267,7 @@ def line_of(path: Path, row: int) -> int:
 def known_unit(text: str) -> tuple[str, float] | None:
     """Return the SI unit and the factor of a unit, also in brackets; None if it is not known."""
     text = re.sub("_(per_)?", "/", text.strip("[]() "))
+    text = re.sub(r"[ .·*]s(\^?-1|⁻¹)$", "/s", text)
     return UNITS.get(text, UNITS.get(text.lower()))
 
 
@@ -528,5 +532,6 @@ def _read_numbers(
 def _timestamp(text: str) -> float:
     """Return the seconds since 1970 of a time such as ``2026-03-01T12:00:00.5``, in UTC."""
     text = text.strip(" \"'")  # times of day have the same date
+    text = f"00:{text}" if re.fullmatch(r"\d\d:\d\d\.\d+", text) else text  # not hours and minutes
     time = datetime.fromisoformat(f"2000-01-01T{text}" if text[2:3] == ":" else text)
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()

@@ -78,6 +78,7 @@ MAX_STRETCH = 0.01  # largest relative error of distances along x of a map in de
 SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
 TO_NPZ = "write it with np.savez(path, x=x, y=y, z=z)"
 MAX_MEDIAN_SLOPE = 50.0  # a steeper map is taken to be in degrees [1]
+HIGHEST = 9000.0  # largest height on the earth [m]
 Facts = tuple[tuple[str, str], ...]
 KEYS = ("cell", "registration", "spacing")  # arguments of some formats only
 
@@ -206,6 +207,8 @@ def read_points(path: Path, ask: raster.Reading) -> Heights:
     if counts.min() < 4:
         size = f"{counts[0]} by {counts[1]} at spacing = {spacing:g} {unit}"
         remedy = f"set a smaller spacing, such as {distance:.2g}"
+        if not spacing > distance:
+            remedy = "add points farther along x and y"
         refuse("points that span at least 4 by 4 nodes", size, remedy)
     i, j = parts(x, y, ask.window)
     z = interpolate_points(points, low, spacing, (i, j))
@@ -662,10 +665,11 @@ def check_degrees(heights: Heights, *, local: bool) -> None:
         raise DegreesError(f"expected a map in metres, found degrees{system}: {reach}{remedy}")
     if local or heights.crs or not (heights.placed and fits):
         return
-    rise = np.abs(np.diff(np.where(np.isinf(heights.z), np.nan, heights.z), axis=1))
+    z = np.where(np.isinf(heights.z), np.nan, heights.z)
+    rise = np.abs(np.diff(z, axis=1))
     rise = rise[rise > 0]  # neither holes nor lakes
     steep = float(np.median(rise)) / axes_of(heights.x, heights.y)[1].step if rise.size else 0.0
-    if steep > MAX_MEDIAN_SLOPE:
+    if steep > MAX_MEDIAN_SLOPE and np.nanmax(np.abs(z)) < HIGHEST:  # else heights are not in m
         raise DegreesError(
             f"expected a map in metres, found one that seems to be in degrees: {reach}, with "
             f"slopes of {steep:.2g} along y (median){remedy}; if x and y are in metres, check the "

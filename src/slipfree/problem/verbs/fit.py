@@ -799,10 +799,12 @@ def _error_lines(scores: Mapping[WindowKind, Score]) -> Iterator[tuple[str, str]
     for kind, score in scores.items():
         row = _row(kind, score)
         interval = f" ({row['position_lower']:.3g} to {row['position_upper']:.3g})"
+        share = 100 * row["position_rms"] / max(float(score.windows.length.mean()), 1e-9)
         yield (
             kind.words,
             f"rms {row['position_rms']:.3g} m{interval if row['logs'] > 1 else ''}, "
-            f"{np.rad2deg(row['turn_rms']):.3g} deg; median {row['position_median']:.3g} m, "
+            f"{share:.2g} % of the path, {np.rad2deg(row['turn_rms']):.3g} deg; "
+            f"median {row['position_median']:.3g} m, "
             f"{np.rad2deg(row['turn_median']):.3g} deg; {row['windows']} windows, 90 % intervals "
             f"+-{row['reach_along']:.2g} m, +-{row['reach_across']:.2g} m, "
             f"+-{np.rad2deg(row['reach_turn']):.2g} deg hold {100 * row['coverage_along']:.0f}, "
