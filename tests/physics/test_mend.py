@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from helpers.cases import ROOT, function_of
-from helpers.commands import invoke, refuses
+from helpers.commands import invoke
 from helpers.problem_files import FILE, _read
 from slipfree import Grid
 from slipfree.core.errors import DataError, ModelError
@@ -282,25 +282,6 @@ def test_a_summary_states_how_far_filled_ground_is_driven_on(tmp_path: Path) -> 
     assert told.count("interpolated heights") == 1
     away = run_problem(_read(tmp_path, FILE, *settings, "start.x=2")).trajectory
     assert away.facts["filled_samples"].value == 0
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        (["terrain.smooth=9"], r"--set terrain.smooth: expected a standard deviation"),
-        (["terrain.error={rms=1, correlation=0, seed=1}"], r"terrain.error.correlation: expected"),
-        (["terrain.cell=1"], r"terrain.file: .*g.npz: expected no 'cell' for a .npz file"),
-        (["terrain.cell=-1"], r"terrain.cell: expected a number greater than 0, found -1"),
-        (["terrain.registration=corner"], r"registration: expected 'area' or 'point', found"),
-        (
-            ["terrain.file=", "terrain.sample=jacksboro", "terrain.fill=linear"],
-            r"terrain.fill: expected this key only with a map file",
-        ),
-        (["terrain.window=[50, 60, 50, 60]"], r"g.npz: window: expected .* at least 4 nodes"),
-    ],
-)
-def test_faults_of_a_problem(tmp_path: Path, settings: list[str], words: str) -> None:
-    refuses(ProblemError, words, _grounds, tmp_path, *settings)
 
 
 def test_friction_lies_where_the_ground_does(tmp_path: Path) -> None:

@@ -276,13 +276,6 @@ def test_a_problem_with_a_map_scaled_with_its_ground(folder):
     assert_allclose(evaluate(terrain, 2 * x, 2 * y)[0], expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("bad", ["0", "true", '""', "inf", "{ file = 1 }"])
-def test_a_problem_refuses_what_is_no_friction(folder, bad):
-    words = r"p\.toml:4: terrain\.friction: expected a number greater than 0, or the name of a file"
-    (folder / "p.toml").write_text(PROBLEM.replace("0.6", bad))
-    refuses(ProblemError, words, load_problem, folder / "p.toml")
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
