@@ -594,7 +594,7 @@ def _checked(
 
 
 def margins(distances: Array, rounding: float = LIMIT_ROUNDING) -> Array:
-    """Return the least distances to limits, of which rounding is no violation; NaN with NaN."""
+    """Return the least distances to limits, increased by ``rounding``; NaN with NaN."""
     return np.asarray(distances.min(axis=0, initial=np.inf) + rounding)
 
 

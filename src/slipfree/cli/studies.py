@@ -80,7 +80,7 @@ COMPARED = (
 
 
 def _exit(*kept: str, is_interrupted: bool, code: int = 0) -> None:
-    """Exit with a code if a study is interrupted or incomplete; say what is kept."""
+    """Exit with a code if a study is interrupted or incomplete, and name the kept files."""
     if is_interrupted:
         console.print_error("; ".join(["interrupted", *kept]))
         raise typer.Exit(console.INTERRUPTED)

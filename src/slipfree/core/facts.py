@@ -1,4 +1,4 @@
-"""Facts: what a computation found out, by name, with units, and the lines that show them.
+"""Facts: results of a computation by name, with units, and the lines that show them.
 
 Summaries, JSON output, sweeps, reports and figures render the same facts. A result file stores
 those that cannot be computed from its samples. The lines of a summary are tables of `Row`.
@@ -23,7 +23,7 @@ MAX_LISTED = 5  # largest number of table rows in one line
 
 
 class Fact(NamedTuple):
-    """A value with its unit and what it is the value of."""
+    """A value with its unit and its meaning."""
 
     value: Any  # number, text, or table: a list of rows, each a dict of numbers and texts
     # unit in the spelling of the CF conventions; empty for texts, for tables, and where it depends

@@ -416,7 +416,7 @@ class _Patches(NamedTuple):
 
 
 class _Examined(NamedTuple):
-    """What is known of patches, shape (n,)."""
+    """Results for patches, shape (n,)."""
 
     gap: Intervals  # at the middle of the box [m]
     above: Array  # upper bound of the gap at the middle of the patch [m]
@@ -496,7 +496,7 @@ def gap_bounds(
 
 
 def chunks(lanes: Mask, size: int) -> Iterator[Indices]:
-    """Return the numbers of lanes, in parts of a size at most."""
+    """Return the numbers of lanes, in parts of at most a size."""
     found = np.flatnonzero(lanes)
     return (found[first : first + size] for first in range(0, found.size, size))
 
@@ -964,7 +964,7 @@ def _examine(box: _PoseBox, ground: GroundRange, patches: _Patches) -> _Examined
 def _examine_compiled(
     function: Callable[..., int], box: _PoseBox, ground: GroundRange, patches: _Patches
 ) -> _Examined:
-    """Return what `_examine` returns, from the function of `terrain/kernel.c`."""
+    """Return the results of `_examine`, by the function of `terrain/kernel.c`."""
     shape, n = box.middle.gap.low.shape, patches.lane.size
     parts = *box.middle.start, *box.over, box.middle.spot, box.slopes
     bounds = [getattr(part, end) for end in ("low", "high") for part in parts]

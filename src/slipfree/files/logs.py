@@ -1,4 +1,4 @@
-"""Logs of motions: one reader for fits, commands and paths, and checks of what columns mean.
+"""Logs of motions: one reader for fits, commands and paths, and checks of the columns.
 
 Times must increase, positions must be metres of one drive, headings must follow the course, and
 the travel of wheels must be near that of the positions. What is left out is counted by its reason.
@@ -56,7 +56,7 @@ OF_POSES = {
 
 
 class MotionLog(NamedTuple):
-    """A log: times, columns by name, notes, and what was left out or held."""
+    """A log: times, columns by name, notes, and rows that were left out or held."""
 
     path: Path
     t: Array  # shape (n,): times from the first row or date [s]
@@ -72,7 +72,7 @@ class MotionLog(NamedTuple):
 
     @property
     def hold(self) -> str:
-        """How long an input was held at most."""
+        """Longest time for which an input was held."""
         longest, start = self.held
         return f"inputs not given for at most {longest:.3g} s, from t = {start:.6g} s"
 

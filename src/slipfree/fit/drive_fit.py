@@ -434,7 +434,7 @@ def score_kinds(
 ) -> dict[WindowKind, Score]:
     """Return the errors of logs that were not fitted, by kind of window.
 
-    The age of their poses is what a measured turning rate shows, otherwise the mean of the fit.
+    The age of their poses follows from a measured turning rate, or is the mean of the fit.
     """
     unknowns, values = list(known.model.unknowns), known.values
     fitted = [row for row, each in enumerate(unknowns) if each.quantity == "age"]

@@ -629,7 +629,7 @@ SOILS = dict(_read_soils())
 
 
 def known_soil(name: str) -> Soil:
-    """Return a soil of the catalogue by name; ModelError if there is no soil of this name."""
+    """Return a soil of the catalogue by name; ModelError for an unknown name."""
     if name not in SOILS:
         raise ModelError(
             f"soil: expected one of {', '.join(SOILS)}, found {name!r}; choose one of them, or "

@@ -66,7 +66,7 @@ def integrate(
     None.
     """
     parts, counts, left = [first], dict.fromkeys(COUNTS, 0.0), 0
-    # where an input jumps; a mere change of its slope is no jump
+    # where an input is discontinuous; a change of its slope is not
     n = solver.system.dae.columns()[2].numel()
     base, rise = u[:n], u[n:] if len(u) > n else np.zeros_like(u)
     terms = [base[:, 1:], -base[:, :-1], rise[:, 1:] * t[1:-1], -rise[:, :-1] * t[1:-1]]

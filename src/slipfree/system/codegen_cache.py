@@ -76,7 +76,7 @@ def load_or_compile(
 def shared_library(
     text: str, make: Callable[[], str], load: Callable[[str], T], flags: Sequence[str] = FLAGS
 ) -> T | None:
-    """Return what ``load`` finds in a compiled library, from the cache if it contains the library.
+    """Return the result of ``load`` for a compiled library, from the cache if possible.
 
     Equal texts and flags must mean equal libraries. ``make()`` returns the C source; it is called
     only for a compilation. ``load(path)`` opens the library, and raises OSError or RuntimeError if

@@ -124,7 +124,7 @@ _TABLES: dict[int, Array] = {}  # tables of the slots, kept alive
 
 @cache
 def library() -> ctypes.CDLL | None:
-    """Return the compiled evaluator; None if there is no usable one."""
+    """Return the compiled evaluator; None if it cannot be used."""
     for file in (Path(__file__).with_name(f"_kernel{suffix}") for suffix in EXTENSION_SUFFIXES):
         try:
             kernel = ctypes.CDLL(str(file))

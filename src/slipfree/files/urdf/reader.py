@@ -203,7 +203,7 @@ def _used_joints(wheels: Wheels, findings: Findings) -> list[UrdfJoint]:
 
 
 def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Findings) -> None:
-    """Add notes on what was guessed, omitted or replaced."""
+    """Add notes on guesses, omissions and replacements."""
     links, notes = wheels.tree.links, findings.notes
     followers = [wheel.name for wheel in wheels.joints if wheel.mimic]
     findings.note("wheels with rates of their own, in spite of <mimic>: give equal ones", followers)
@@ -548,7 +548,7 @@ def tracks(tree: Tree, wheels: Collection[str]) -> list[str]:
 
 
 def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: vehicle_toml.Draft) -> str:
-    """Return what to do about too few wheels, with the wheels that names or axes suggest."""
+    """Return the remedy for too few wheels, with the wheels that names or axes suggest."""
     wheels = [wheel.name for wheel in draft.wheels]
     ends = [j for j in tree.joints.values() if tree.is_last(j) and j.name not in wheels]
     if found := tracks(tree, wheels):

@@ -271,7 +271,7 @@ class Fit(CommonKeys):
 
 
 class FitResult(NamedTuple):
-    """Fitted force balance, errors of predictions, and what is used of each log."""
+    """Fitted force balance, errors of predictions, and lines on the rows used of each log."""
 
     fit: DriveFit | None  # None for predictions with a fit in a file
     fitted: dict[WindowKind, Fitted]
@@ -545,7 +545,7 @@ class _Reader(NamedTuple):
         )
 
     def _log(self, log: MotionLog, campaign: str, surface: str, step: float) -> DriveLog:
-        """Return a log at equal intervals, and add a line on what is left out of it."""
+        """Return a log at equal intervals, and add a line on the rows that are left out."""
         spec, path, t, table = self.problem.spec, log.path, log.t, log.values
         data = spec.data
         frame = {".nc": "paper", ".mcap": "rep103"}.get(path.suffix.lower(), spec.frame)

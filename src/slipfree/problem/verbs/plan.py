@@ -615,7 +615,7 @@ class PlanVerb(base.DriveVerb):
         return driven._replace(plan=planned)
 
     def marks(self, problem: Problem[Any], domain: plan_setup.Domain) -> dict[str, Any]:
-        """Return keep-out regions, places, and areas of those that are no points."""
+        """Return keep-out regions, places, and the areas of places with extent."""
         places, _ = plan_setup.places_of(problem, domain)
         return {
             "keep_out": plan_setup.regions(problem),

@@ -413,7 +413,7 @@ def replay_draw(task: ReplayTask) -> tuple[DisturbedRun, ...]:
 
 @lru_cache(1)
 def _drawn_world(source: Recipe, draw: Draw | None) -> tuple[Dae, Trajectory]:
-    """Return model and start in a drawn world, or that of the problem if there is no draw."""
+    """Return model and start in a drawn world; without a draw, those of the problem."""
     setup = _planning(source)
     terrain, grid, robust = setup.terrain, setup.ground.grid, setup.spec.plan.robust or Robust()
     if draw is not None:

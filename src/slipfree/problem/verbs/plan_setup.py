@@ -345,7 +345,7 @@ def places_of(problem: Problem[PlanKeys], domain: Domain) -> tuple[tuple[Place, 
 def areas_of(
     problem: Problem[PlanKeys], domain: Domain
 ) -> dict[str, tuple[float, float, float, float]]:
-    """Return the areas of way-points and goal that are no points, by name, on the map [m].
+    """Return the areas of way-points and goal with extent, by name, on the map [m].
 
     An area is x_min, x_max, y_min, y_max; a coordinate without a value extends over the map.
     """

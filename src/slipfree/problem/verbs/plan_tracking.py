@@ -164,7 +164,7 @@ def follow_plan(
     frame, dae = horizon(plan, span=window), plan.program.task.dae
     speed = path_length(plan.replay) / plan.motion.duration
 
-    @lru_cache(1)  # all ways of a seed follow each other
+    @lru_cache(1)  # all controllers of a seed follow each other
     def world_of(seed: int) -> tuple[tracking.TrackingWorld, World]:
         """Return the world of the changed problem with disturbances, and its ground and vehicle."""
         built, rng = build_world(real), np.random.default_rng(seed)
@@ -203,8 +203,9 @@ def follow_plan(
         ground = built.ground._replace(grid=grid, mu=mu)
         return world, replace(built, ground=ground, terrain=terrain)
 
-    def follow(way: tuple[str, int]) -> Followed:
-        name, seed = way
+    def follow(method: tuple[str, int]) -> Followed:
+        """Return the motion of a controller, by name, in the world of a seed."""
+        name, seed = method
         world, driven_world = world_of(seed)
         report = partial(time, name, seed) if time else None
         try:
