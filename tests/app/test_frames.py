@@ -217,7 +217,7 @@ VEHICLE = TRAILER.replace("lower = -1.2, upper = 1.2", STOPS)
 
 
 def test_text_with_a_unit_is_a_number_in_si_units() -> None:
-    assert parse_unit("-30 deg") == pytest.approx(-pi / 6)
+    assert parse_unit("-30 deg") == parse_unit("-30°") == pytest.approx(-pi / 6)
     assert parse_unit("1.5e1deg/s2") == pytest.approx(pi / 12)
     assert parse_unit(" .5 rad ") == 0.5
     assert isinstance(parse_unit("5 deg/s"), RateWithUnit)

@@ -12,7 +12,7 @@ from helpers.cases import DATA, PROBLEMS, ROOT
 from helpers.commands import build_errors, error_of, refuses
 from helpers.problem_files import FILE, VALID, _read
 from slipfree.cli import app
-from slipfree.files.toml import ProblemError
+from slipfree.files.toml import EXAMPLE, ProblemError
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, run_problem
 from slipfree.problem.verbs.direct import Direct
@@ -213,6 +213,7 @@ def _changed(old: str, new: str) -> str:
         ("r1 = 0.05", "r3 = 0.05", "p.toml:11: vehicle.r3: expected one of catalog, axle, half_tr"),
         ("x = 0.1", "x = -1e155", "p.toml:14: start.x: expected a number with an absolute value o"),
         ("x = 0.1", f"x = 0x{'f' * 5000}", "p.toml:14: start.x: expected a number, found a whole"),
+        ("x = 0.1", 'x = "1 m"', f"p.toml:14: start.x: expected {EXAMPLE}, found '1 m'; write"),
         ("step = 0.25", "step = 2", "p.toml:24: time.step: expected at most the duration, 1 s, fo"),
         ("step = 0.25", "step = 1\n[solver]\ntolerance = 0", "p.toml:26: solver.tolerance: expect"),
         ("step = 0.25", 'step = 1\n[output]\nfile = ""', "p.toml:26: output.file: expected text t"),

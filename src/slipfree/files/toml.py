@@ -271,7 +271,10 @@ def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) 
     words = ERRORS["expected"].get(kind)
     details = error.get("ctx", {})
     expected = words.format(**details) if words else error["msg"]
-    return Fault(place, expected, details.get("found", found))
+    found = details.get("found", found)
+    if isinstance(error["input"], str) and re.match(r"\s*[-+]?\.?\d", error["input"]):
+        found += "; write the number alone, in SI units" if expected.startswith("a number") else ""
+    return Fault(place, expected, found)
 
 
 def _unknown(place: Place, known: Sequence[str], removed: Mapping[str, str] = {}) -> Fault:
@@ -433,7 +436,7 @@ def _value(text: str) -> Any:
 
 EXAMPLE = 'a number, or text with an angular unit, as in "30 deg" or "5 deg/s"'
 PAIRS = "a number, or an array of [time, value] pairs"
-TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(deg|rad)(/s2?)?\s*")
+TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(deg|°|rad)(/s2?)?\s*")
 MAX_FRICTION = 10.0  # larger coefficients are probably percent
 Piecewise = tuple[tuple[float, float], ...]
 
@@ -509,7 +512,7 @@ def parse_unit(value: Any) -> Any:
     if match is None:
         return value
     number = float(match[1])
-    return KINDS[match[3]](number * pi / 180 if match[2] == "deg" else number)
+    return KINDS[match[3]](number if match[2] == "rad" else number * pi / 180)
 
 
 def _reader(unit: type[WithUnit], text: str) -> WrapValidator:
