@@ -382,7 +382,7 @@ RESUME = r".*to resume: slipfree run .*--resume p.nc.*"
 INERT = (*GRIP, *sets("model=dynamics"))
 HELD = (*INERT, *sets("driver.period=0.01"))
 RUNS = {  # function, its call, words of the command, what is told, and the kept stop or file
-    "diagnostics": ((runner, "_with_filled"), GRIP[:1], AT_END, "interrupted"),
+    "diagnostics": ((runner, "obstacle_ending"), GRIP[:1], AT_END, "interrupted"),
     "while written": ((os, "fsync"), GRIP[:1], WHOLE, None),
     "while written, twice": ((os, "fsync", 1, 2), GRIP[:1], UNCHANGED, OLD),
     "kinematics": ((integrator._Relay, "eval_buffer", 5), GRIP, SO_FAR, "interrupted"),

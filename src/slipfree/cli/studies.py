@@ -20,7 +20,6 @@ from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
     from slipfree.plan.pareto import FrontPoint
-    from slipfree.sweep import Rows, Sweep
 
 FRONT = "pareto.csv", "pareto.png"  # table and figure of a Pareto front
 GO_ON = "repeat the command to continue"
@@ -373,8 +372,19 @@ def sweep(
     console.print_facts(sweep_facts(plan, rows, tables, names))
     console.add_json_file(folder / TABLE)
     console.print_line(f"wrote {folder / TABLE}")
-    if keep:
-        _warn_missing(plan, rows)
+    # finished runs without a result file, such as those run without --keep
+    moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST})) if keep else []
+    if missing := [run for run in moved if not rows.result_path(run).exists()]:
+        (first,) = rows.read(missing[:1])
+        sets = [word for each in (*plan.settings, *first.settings) for word in ("--set", each)]
+        sets += [word for each in plan.problem.trusted for word in ("--trust", each)]
+        file_of_first = str(rows.result_path(first.run))
+        command = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", file_of_first]
+        runs, have = ("run", "has") if len(missing) == 1 else ("runs", "have")
+        console.warn(
+            f"--keep: {len(missing)} finished {runs} {have} no result file; to write all, sweep "
+            f"into another folder with -o; to write the first: {shlex.join(command)}"
+        )
     if draw:
         if len(plan.axes) > MAX_KEYS:
             console.print_line(
@@ -384,20 +394,3 @@ def sweep(
             draw_figures(sweep_plots(drawn_grids(rows, tables, names)), folder / FIGURES)
     if rows.ended(FAILED, LOST):
         raise typer.Exit(console.STOPPED)
-
-
-def _warn_missing(plan: Sweep, rows: Rows) -> None:
-    """Warn about finished runs without a result file, such as those run without ``--keep``."""
-    from slipfree.sweep import missing_results
-
-    if missing := missing_results(rows):
-        (first,) = rows.read(missing[:1])
-        sets = [word for each in (*plan.settings, *first.settings) for word in ("--set", each)]
-        sets += [word for each in plan.problem.trusted for word in ("--trust", each)]
-        file = str(rows.result_path(first.run))
-        words = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", file]
-        runs, have = ("run", "has") if len(missing) == 1 else ("runs", "have")
-        console.warn(
-            f"--keep: {len(missing)} finished {runs} {have} no result file; to write all, sweep "
-            f"into another folder with -o; to write the first: {shlex.join(words)}"
-        )

@@ -63,23 +63,18 @@ class Limit(NamedTuple):
         """Return the message of a violation by a value, in a local state."""
         if self.describe is not None and (words := self.describe(x, z)):
             return words
-        return limit_message(self.label.words, value, self.lower, self.upper, self.label.unit)
+        lower, upper, unit = self.lower, self.upper, self.label.unit
+        allowed = f"at least {lower:g}" if np.isfinite(lower) else f"at most {upper:g}"
+        if np.isfinite(lower) and np.isfinite(upper):
+            allowed = f"{lower:g} to {upper:g}"
+        unit = "" if unit == "1" else f" {unit.replace('m-1', '1/m')}"
+        return f"{self.label.words}: {round(value, 6) + 0.0:.4g}, allowed {allowed}{unit}"
 
     def violated_by(self, values: Array | float, size: float) -> Mask:
         """Return the mask of values beyond the limit; ``size`` is the scale of the quantity."""
         slack = LIMIT_ROUNDING * size
         values = np.asarray(values)
         return ~((values >= self.lower - slack) & (values <= self.upper + slack))  # also nan
-
-
-def limit_message(words: str, value: float, lower: float, upper: float, unit: str) -> str:
-    """Return the message of a violated limit: description, value and allowed range."""
-    if np.isfinite(lower) and np.isfinite(upper):
-        allowed = f"{lower:g} to {upper:g}"
-    else:
-        allowed = f"at least {lower:g}" if np.isfinite(lower) else f"at most {upper:g}"
-    unit = "" if unit == "1" else f" {unit.replace('m-1', '1/m')}"
-    return f"{words}: {round(value, 6) + 0.0:.4g}, allowed {allowed}{unit}"
 
 
 def invalid_start(words: str) -> ModelError:

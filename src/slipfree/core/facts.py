@@ -157,13 +157,8 @@ def table(columns: Iterable[TableColumn], rows: Iterable[Mapping[str, Any]]) -> 
     return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in texts]
 
 
-def encode(facts: Facts) -> str:
-    """Return facts as JSON text."""
-    return json.dumps(facts)
-
-
 def decode(text: str) -> dict[str, Fact]:
-    """Return the facts in a text of `encode`; raise ValueError for other texts."""
+    """Return the facts in a JSON text of a mapping; raise ValueError for other texts."""
     try:
         return {
             str(name): Fact(value, str(unit), str(words))

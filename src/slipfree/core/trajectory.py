@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from slipfree.core.errors import ModelError, SlipfreeError, read_table, require, similar
-from slipfree.core.facts import Fact, Facts, encode
+from slipfree.core.facts import Fact, Facts
 from slipfree.core.records import Array, HtmlRepr, Label, overview, with_overview
 
 if TYPE_CHECKING:
@@ -365,7 +366,7 @@ class Trajectory(Drawable):
         found: dict[str, str | float] = dict(self.attributes)
         found |= {f"{STATISTICS}{name}": value for name, value in self.statistics.items()}
         found[OUTCOME] = self.outcome.name.lower()
-        found |= {FACTS: encode(self.facts)} if self.facts else {}
+        found |= {FACTS: json.dumps(self.facts)} if self.facts else {}
         return found | (dict(zip(STOP, self.stop[:3], strict=True)) if self.stop else {})
 
     def to_xarray(self) -> xarray.Dataset:

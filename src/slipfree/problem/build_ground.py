@@ -29,7 +29,7 @@ from slipfree.terrain.bicubic import Outline, outline, parts_of
 from slipfree.terrain.grid_ops import MAX_NODES, Changed, Window, cut, disturbed, smoothed
 from slipfree.terrain.kernel import library
 from slipfree.terrain.rolled import NODES, rolled
-from slipfree.terrain.synthetic import Rock, blank, place_rocks
+from slipfree.terrain.synthetic import FEATURES, Rock, blank, place_rocks
 
 OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys of map files only
 LATER = {"smooth", "error", "rolled", "friction", "obstacles"}  # keys that do not affect the map
@@ -255,7 +255,10 @@ def _source(problem: Problem[S]) -> tuple[elevation.Map, str]:
                 remedy = "increase 'spacing', or reduce the extent in 'x' and 'y'"
                 _check_size(made.x[1] - made.x[0], made.y[1] - made.y[0], made.spacing, remedy)
                 grid = blank(made.x, made.y, made.spacing)
-                grid = made.with_features(Grid(grid.x, grid.y, grid.z + made.base))
+                grid = Grid(grid.x, grid.y, grid.z + made.base)
+                for name, add in FEATURES.items():
+                    if (table := getattr(made, name)) is not None:
+                        grid = add(grid, **dict(table))
                 grid = place_rocks(grid, map(Rock._make, made.placed_rocks))
             return elevation.Map(grid), "synthetic"
         with at(problem, ("terrain", "sample")):

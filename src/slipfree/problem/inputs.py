@@ -22,7 +22,7 @@ from slipfree.system.parts import Identity, Parts
 from slipfree.system.regular_files import read_bytes, regular_file
 
 D = TypeVar("D")
-TABLES = ("terrain", "vehicle", "driver", "path", "inputs", "given")  # tables with input files
+TABLES = ("terrain", "vehicle", "driver", "path", "inputs", "given", "data")  # with input files
 MISSING = "missing"
 DIGESTS = "input_sha256"  # attribute of a result: digests of the input files by name, as JSON
 SIDES = (".prj", ".aux.xml", ".hdr", ".tfw", ".wld", ".ovr", ".msk")  # endings beside maps
@@ -36,8 +36,8 @@ FILE_NAME = re.compile(
 def input_names(spec: CommonKeys) -> tuple[str, ...]:
     """Return the file names in the keys ``file`` and ``friction`` of tables, as written there."""
     tables = [dict(getattr(spec, name, None) or {}) for name in TABLES]
-    names = [table.get(key) for key in ("file", "friction") for table in tables]
-    names += getattr(spec, "named_files", ())  # logs
+    found = [table.get(key) for key in ("file", "friction") for table in tables]
+    names = (name for each in found for name in (each if isinstance(each, tuple) else (each,)))
     return tuple(name for name in names if isinstance(name, str))
 
 

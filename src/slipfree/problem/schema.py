@@ -29,7 +29,6 @@ from slipfree.laws.rolling import Rolling
 from slipfree.laws.soil import OF_THE_LAW, SOILS, Soil, SoilRegion, known_soil
 from slipfree.solve.system import SolverOptions
 from slipfree.terrain import solids
-from slipfree.terrain.base import Grid
 from slipfree.terrain.solids import Profile
 from slipfree.terrain.synthetic import FEATURES
 from slipfree.vehicle.tree import BODIES, Vehicle
@@ -149,14 +148,6 @@ class MadeGround(toml.Record):
     spacing: toml.Positive
     base: float = 0.0
     placed_rocks: Annotated[tuple[toml.Rock, ...], Field(strict=False)] = ()
-
-    def with_features(self, grid: Grid) -> Grid:
-        """Return a grid with the features of the ground added, in order."""
-        for name, add in FEATURES.items():
-            table = getattr(self, name)
-            if table is not None:
-                grid = add(grid, **dict(table))
-        return grid
 
 
 Synthetic: Any = create_model(

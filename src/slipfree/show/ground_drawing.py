@@ -252,12 +252,6 @@ def gradient(ground: Terrain, x: Array, y: Array) -> Array:
     return np.array(values).reshape(2, *np.shape(x))
 
 
-def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
-    """Return the slope at map points along headings from the x axis, positive uphill [rad]."""
-    dz_dx, dz_dy = gradient(ground, x, y)
-    return np.asarray(np.arctan(np.cos(heading) * dz_dx + np.sin(heading) * dz_dy))
-
-
 def side_plot(drive: PlottedDrive) -> Plot | None:
     """Return the side view of a motion; None without solids, or if it leaves the plane x = 0."""
     run = drive.run

@@ -234,7 +234,8 @@ def elevation(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
 def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
     """Draw the slope of the ground below the platform along its heading, and the pitch."""
     heading = run.in_frame("rep103")["heading"]
-    s, rise = _distance(run), ground_drawing.slope_along(ground, run["x"], run["y"], heading)
+    dz_dx, dz_dy = ground_drawing.gradient(ground, run["x"], run["y"])
+    s, rise = _distance(run), np.arctan(np.cos(heading) * dz_dx + np.sin(heading) * dz_dy)
     ax.plot(s, rise, **BELOW, label="ground along the heading")
     ax.plot(s, run["pitch"], color=PLATFORM, label="pitch of the platform")
     ax.set(xlabel="distance driven [m]", ylabel="slope [rad]")
@@ -295,10 +296,8 @@ def plot(
         plots = atlas_plots(view_of(result, terrain))
     else:
         run = result.replay if isinstance(result, Plan) else result
-        base: Any = terrain
-        prisms = tuple[Prism, ...]()
-        if isinstance(terrain, Solids):
-            base, prisms = terrain.base, terrain.prisms
+        solids = isinstance(terrain, Solids)
+        base, prisms = (terrain.base, terrain.prisms) if solids else (terrain, ())
         plots = motion_plots(run, _grid_around(run, base), base, prisms)
     known = {plot.name: plot for plot in plots}
     name = plots[0].name if name is None else name

@@ -531,7 +531,17 @@ def sweep_facts(
     sweep: Sweep, rows: Rows, tables: Mapping[str, Swept], figures: Sequence[str]
 ) -> Lines:
     """Return the facts of the summary of a sweep, pairs of name and text."""
-    facts = [*_outcomes(sweep, rows)]
+    counts = ((outcome, count) for outcome, count in rows.outcomes.most_common() if count)
+    listed = ", ".join(f"{count} {outcome}" for outcome, count in counts)
+    facts = [("runs", f"{len(rows)} of {sweep.count}" + (f": {listed}" if listed else ""))]
+    facts += seed_facts(sweep)
+    for outcome, remedy in REMEDIES.items():
+        wrong = rows.ended(outcome)
+        for row in rows.read(wrong[:MAX_FAILURES]):
+            given = f" ({', '.join(row.settings)})" if row.settings else ""
+            facts.append((f"  run {row.run} {outcome}", f"{_line_of(row.words)}{given}"))
+        more = f"{len(wrong) - MAX_FAILURES} more, see the table; " * (len(wrong) > MAX_FAILURES)
+        facts += [("  ...", f"{more}{remedy}")] if wrong else []
     if (kept := tables.get(WITHIN_LIMITS)) is not None:
         good, count = np.nansum(kept.values), len(rows)
         words = f"{good:.0f} of {count} runs ({100 * good / count:.0f} %): solved, and the "
@@ -550,21 +560,6 @@ def sweep_facts(
                 more = f"{len(parts) - MAX_VALUES} more values; {TABLE} lists all"
                 facts.append(("  ...", more))
     return facts
-
-
-def _outcomes(sweep: Sweep, rows: Rows) -> Iterator[tuple[str, str]]:
-    counts = ((outcome, count) for outcome, count in rows.outcomes.most_common() if count)
-    listed = ", ".join(f"{count} {outcome}" for outcome, count in counts)
-    yield "runs", f"{len(rows)} of {sweep.count}" + (f": {listed}" if listed else "")
-    yield from seed_facts(sweep)
-    for outcome, remedy in REMEDIES.items():
-        wrong = rows.ended(outcome)
-        for row in rows.read(wrong[:MAX_FAILURES]):
-            given = f" ({', '.join(row.settings)})" if row.settings else ""
-            yield f"  run {row.run} {outcome}", f"{_line_of(row.words)}{given}"
-        more = f"{len(wrong) - MAX_FAILURES} more, see the table; " * (len(wrong) > MAX_FAILURES)
-        if wrong:
-            yield "  ...", f"{more}{remedy}"
 
 
 def seed_facts(sweep: Sweep) -> Iterator[tuple[str, str]]:
@@ -639,9 +634,3 @@ def run_sweep(
                 pass
     finally:
         write_table(rows.folder / TABLE, sweep, rows)
-
-
-def missing_results(rows: Rows) -> list[int]:
-    """Return the numbers of the runs that have a motion but no result file in their folder."""
-    moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST}))
-    return [run for run in moved if not rows.result_path(run).exists()]

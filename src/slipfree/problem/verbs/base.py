@@ -370,7 +370,12 @@ class DriveVerb(Verb, ABC):
                 states = [label.full for label in leaves(model.labels.x)][:-relaxed]
                 held: dict[str, Any] = {name: float(setup.start[name][0]) for name in states}
                 poses = [*stable_poses(model, options=spec.solver.options, **held)] or poses
-            facts["stable_poses"] = Fact([pose_row(pose.in_frame(spec.frame)) for pose in poses])
+            table = list[dict[str, Any]]()
+            for each in poses:
+                wheel, share, depth = lightest_wheel(each, 0)
+                angles = {name: float(each[name][0]) for name in ("pitch", "roll")}
+                table.append({**angles, "wheel": wheel, "share": share, "depth": depth})
+            facts["stable_poses"] = Fact(table)
         samples = self.describe_samples(problem, setup)
         return start, [("start", pose), *lines(START_ROWS, facts), ("samples", samples)]
 
@@ -567,13 +572,6 @@ def _certificate(run: Trajectory, facts: Mapping[str, Fact]) -> str:
     if run.t.size == 1:
         return words
     return f"{words}; samples at most {facts['sample_distance_largest'].value:.3g} m apart"
-
-
-def pose_row(pose: Trajectory) -> dict[str, Any]:
-    """Return a stable pose at the start, with its least loaded wheel."""
-    wheel, share, depth = lightest_wheel(pose, 0)
-    angles = {name: float(pose[name][0]) for name in ("pitch", "roll")}
-    return {**angles, "wheel": wheel, "share": share, "depth": depth}
 
 
 def model_attributes(spec: Modelled) -> dict[str, str]:
