@@ -29,13 +29,11 @@ import slipfree as sf
 from helpers.cases import ROOT
 from helpers.commands import printed
 from helpers.fuzz_files import document
-from slipfree import Analytic, SamplingTask, catalog, commanded, direct_kinematics, settle, simulate
 from slipfree.cli import app
 from slipfree.files.atlas_files import Site, write_atlas
 from slipfree.files.toml import load_toml
 from slipfree.files.urdf.tree import UrdfTable
 from slipfree.files.vehicle_toml import file_of, validated
-from slipfree.problem.load import load_problem
 from slipfree.problem.wheel_test import read_wheel_file
 
 PAGES = [
@@ -157,7 +155,7 @@ def test_toml_is_accepted(page, folder):
             shown = shipped(PROBLEMS[verb]) if verb in PROBLEMS else {}
             before = completed(keys, before or shown)
             command = "run" if verb in ("direct", "inverse", "plan") else verb.split("-")[0]
-            load_problem(write(folder / "p.toml", before), command=command)
+            sf.load_problem(write(folder / "p.toml", before), command=command)
 
 
 @pytest.mark.parametrize("page", pages_with("bash"))
@@ -242,24 +240,24 @@ def odometry(run):
 
 @pytest.mark.usefixtures("ros")
 def test_the_node_drives_to_its_goal_and_stops_without_a_pose():
-    vehicle = catalog.skid_steer()
-    hills = Analytic(lambda x, y: 0.03 * x * y)
-    world = commanded(direct_kinematics(vehicle, hills), speed=0.4)
+    vehicle = sf.catalog.skid_steer()
+    hills = sf.Analytic(lambda x, y: 0.03 * x * y)
+    world = sf.commanded(sf.direct_kinematics(vehicle, hills), speed=0.4)
     ranges = {"forward": (0.0, 0.5), "yaw_rate": (-0.8, 0.8)}
     goal = {"x": -0.4, "y": 1.0}
-    task = SamplingTask(
+    task = sf.SamplingTask(
         world, {"slip": 1.0}, goal, 3.0, ranges, intervals=5, candidates=48, compiled=False
     )
     node = driver()(task, period=0.5)
     node.on_timer()
     assert (node.published[-1].linear.x, node.published[-1].angular.z) == (0.0, 0.0)
-    here = settle(world)
+    here = sf.settle(world)
     for _ in range(10):
         node.on_odometry(odometry(here))
         node.on_timer()
         sent = node.published[-1]
         inputs = world.inputs(forward=sent.linear.x, yaw_rate=sent.angular.z)
-        here = simulate(world, here, inputs, [0.0, 0.5]).part(slice(-1, None))
+        here = sf.simulate(world, here, inputs, [0.0, 0.5]).part(slice(-1, None))
     assert np.hypot(here["x"][-1] + 0.4, here["y"][-1] - 1.0) < 0.2
     assert not node.warnings
     node.pose = np.full(3, np.nan)

@@ -15,19 +15,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 from helpers.cases import DATA, PROBLEMS
 from helpers.commands import printed, refused, sets
 from helpers.drives import HALF, HILL, drives
-from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
-from slipfree.core.errors import DataError
 from slipfree.files.logs import MotionLog, check_motion, rate_ratios
 from slipfree.files.mcap import write_mcap
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
 from slipfree.files.vehicle_toml import vehicle_text
 from slipfree.geometry.frame import unit_vector
-from slipfree.problem.build_vehicle import read_vehicle
-from slipfree.vehicle.tree import Vehicle
 
 PROBLEM = PROBLEMS / "fit_skid_steer.toml"
 TRUE = {"radius_left": 0.155, "radius_right": 0.155, "track": 0.62}
@@ -57,7 +54,7 @@ def test_shipped_problem_finds_the_truth_and_a_vehicle_that_runs() -> None:
     assert len(rows) >= 59
     assert np.sqrt(np.mean([float(row["error_along"]) ** 2 for row in rows])) < 0.02
     assert Path("fit_skid_steer.png").is_file()
-    vehicle = read_vehicle("fitted.toml")
+    vehicle = sf.read_vehicle("fitted.toml")
     radii = {wheel.name: wheel.radius for wheel in vehicle.wheels}
     assert_allclose(radii["front_left"], float(found["radius_left"]["value"]), atol=1e-12)
     masses = [(mass, ca.evalf(place)) for _, mass, place in vehicle.masses()]
@@ -72,19 +69,19 @@ def test_shipped_problem_finds_the_truth_and_a_vehicle_that_runs() -> None:
     assert "complete" in printed("run", "run.toml", "--no-draw", *sets("model=dynamics", *own))
 
 
-def _motion() -> tuple[Vehicle, np.ndarray, np.ndarray]:
+def _motion() -> tuple[sf.Vehicle, np.ndarray, np.ndarray]:
     """Return a vehicle, and times and rates of its left and right wheels."""
-    vehicle = catalog.rigid_skid_steer(half_track=0.3, r2=0.12)
+    vehicle = sf.catalog.rigid_skid_steer(half_track=0.3, r2=0.12)
     times = np.linspace(0, 20, 201)
     rates = np.random.default_rng(3).uniform(1, 4, (2, 20)).repeat(10, axis=1)
     return vehicle, times, rates
 
 
-def _simulated() -> tuple[Vehicle, object, np.ndarray, np.ndarray]:
+def _simulated() -> tuple[sf.Vehicle, object, np.ndarray, np.ndarray]:
     vehicle, times, (left, right) = _motion()
-    dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
+    dae = sf.direct_kinematics(vehicle, sf.Analytic(lambda x, _: 0 * x))
     inputs = {f"{w.name}_rate": left if "left" in w.name else right for w in vehicle.wheels}
-    run = simulate(dae, settle(dae, heading=0.4), dae.inputs(**inputs), times)
+    run = sf.simulate(dae, sf.settle(dae, heading=0.4), dae.inputs(**inputs), times)
     return vehicle, run, left, right
 
 
@@ -116,10 +113,10 @@ def test_a_log_with_headings_from_x() -> None:
 @pytest.mark.slow
 def test_results_of_slipfree_are_logs() -> None:
     vehicle, times, _ = _motion()
-    dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
+    dae = sf.direct_kinematics(vehicle, sf.Analytic(lambda x, _: 0 * x))
     speed = {"left": 2 + dae.t / 10, "right": 3 - dae.t / 20}
     inputs = {f"{w.name}_rate": speed[w.name.split("_")[1]] for w in vehicle.wheels}
-    run = simulate(dae, settle(dae), dae.inputs(**inputs), times)
+    run = sf.simulate(dae, sf.settle(dae), dae.inputs(**inputs), times)
     write("log.nc", run)
     write_mcap(Path("log.mcap"), run, vehicle)
     for name in ("log.nc", "log.mcap"):
@@ -174,12 +171,12 @@ def test_undetermined_unknowns_end_with_exit_code_1() -> None:
     assert_allclose(float(_estimates("fit.csv")["radius"]["value"]), 0.17, rtol=0.01)
 
 
-@pytest.mark.parametrize("name", catalog.__all__)
+@pytest.mark.parametrize("name", sf.catalog.__all__)
 def test_vehicles_of_the_catalogue_are_written(name: str) -> None:
     """Axles are written as vectors, and joints are sorted by their distance from the platform."""
-    vehicle = getattr(catalog, name)()
+    vehicle = getattr(sf.catalog, name)()
     Path("v.toml").write_text(vehicle_text(vehicle, ["comment"]))
-    found = read_vehicle("v.toml")
+    found = sf.read_vehicle("v.toml")
     wheels = tuple(replace(wheel, axle=unit_vector(wheel.axle)) for wheel in vehicle.wheels)
     assert tuple(replace(w, axle=unit_vector(w.axle)) for w in found.wheels) == wheels
     assert sorted(found.joints, key=str) == sorted(vehicle.joints, key=str)
@@ -214,7 +211,7 @@ def test_units_by_the_travel_of_the_wheels(factors: dict[int, float], words: str
     values = {"x": log[:, 3], "y": log[:, 4]}
     read = MotionLog(Path("log.csv"), log[:, 0], values, (), Counter(), (0.0, 0.0))
     check = partial(check_motion, read, ratios=rate_ratios([0.15, 0.15]))
-    with pytest.raises(DataError, match=re.escape(words)):
+    with pytest.raises(sf.DataError, match=re.escape(words)):
         check(speed=0.15 * log[:, 1:3].mean(axis=1))
     check(speed=np.where(TIMES < 10, 1.0, -0.2) * log[:, 1])  # the wheels slip
 
@@ -229,7 +226,7 @@ def test_logs_without_a_problem_file_over_a_map() -> None:
     heights = "\n".join(" ".join(map(str, row)) for row in HILL.z.T[::-1].tolist())
     head = "ncols 81\nnrows 81\nxllcenter -40\nyllcenter -40\ncellsize 1\n"
     Path("hill.asc").write_text(f"{head}{heights}\n")
-    vehicle = catalog.rigid_skid_steer(half_track=HALF, wheelbase=2 * HALF, r1=0.1, r2=0.1)
+    vehicle = sf.catalog.rigid_skid_steer(half_track=HALF, wheelbase=2 * HALF, r1=0.1, r2=0.1)
     Path("robot.toml").write_text(vehicle_text(vehicle, []))
     own = ["--map", "hill.asc", "--vehicle", "robot.toml", "-o", "fit.nc", *sets("frame=rep103")]
     fitted = json.loads(printed("--json", "fit", "a.csv", *own, *["--predict", "b.csv"] * 2))

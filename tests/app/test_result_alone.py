@@ -10,19 +10,16 @@ import pyproj
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 from helpers.cases import PROBLEMS
 from helpers.commands import invoke, printed, refused, refuses
 from helpers.rasters import from_origin, geotiff
-from slipfree import open_result
-from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files import netcdf
 from slipfree.problem.build_ground import build_ground
-from slipfree.problem.load import load_problem
-from slipfree.problem.result import STORED, build, problem_of, run_problem
+from slipfree.problem.result import STORED, build, problem_of
 from slipfree.problem.verbs.base import world_of
 from slipfree.show.meshes import reduced
-from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections import sheet
 
 DRIVE = """
@@ -83,7 +80,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def solved(folder: Path, name: str, out: Path, *settings: str) -> Path:
     """Return the result of a problem, moved to an empty folder."""
-    result = run_problem(load_problem(folder / f"{name}.toml", settings))
+    result = sf.run_problem(sf.load_problem(folder / f"{name}.toml", settings))
     netcdf.write(out / f"{name}.nc", result.trajectory, result.arrays)
     return out / f"{name}.nc"
 
@@ -95,9 +92,9 @@ def test_a_result_alone_has_ground_vehicle_and_model(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     file = solved(folder, name, tmp_path, *SMALL.get(name, ()))
-    first = build(load_problem(folder / f"{name}.toml", SMALL.get(name, ())))
+    first = build(sf.load_problem(folder / f"{name}.toml", SMALL.get(name, ())))
     monkeypatch.chdir(tmp_path)
-    result = open_result(file)
+    result = sf.open_result(file)
     again = build(result.problem)
     assert_allclose(again.ground.grid.z, first.ground.grid.z, rtol=0, atol=0)
     assert again.vehicle == world_of(result).vehicle == first.vehicle
@@ -144,7 +141,7 @@ def test_changes_apply_to_the_ground_of_a_result(
     stored = changed()
     assert changed("terrain.friction=0.3")[2:4] == (None, 0.3)
     assert_allclose(changed("terrain.friction=0.3").grid.z, stored.grid.z, rtol=0)
-    refuses(DataError, r"hills.npz: expected", changed, "terrain.error.rms=0.02")
+    refuses(sf.DataError, r"hills.npz: expected", changed, "terrain.error.rms=0.02")
     other = f'terrain.file="{folder / "hills.npz"}"'
     assert np.ptp(changed(other, "terrain.error=", "terrain.friction=").grid.z) > 0.1
 
@@ -182,11 +179,11 @@ def test_a_large_map_is_cut_to_the_motion(
     settings = ("terrain.synthetic.x=[-50,50]", "terrain.synthetic.y=[-40,60]", "start.x=7.0")
     settings += ("terrain.synthetic.power_law={rms=0.05,hurst=0.9,longest=4,shortest=2,seed=1}",)
     file = solved(folder, "inverse", tmp_path, *settings)
-    whole = load_problem(folder / "inverse.toml", settings)
-    result = open_result(file)
+    whole = sf.load_problem(folder / "inverse.toml", settings)
+    result = sf.open_result(file)
     part, run = build_ground(result.problem).grid, result.trajectory
     assert part.z.size < 0.2 * build_ground(whole).grid.z.size
-    surfaces = [Bicubic(grid) for grid in (part, build_ground(whole).grid)]
+    surfaces = [sf.Bicubic(grid) for grid in (part, build_ground(whole).grid)]
     heights = [each.elevation(run["contact_x"], run["contact_y"]) for each in surfaces]
     assert_allclose(heights[0], heights[1], rtol=0, atol=1e-14)
     invoke("report", file, code=0)

@@ -8,16 +8,13 @@ import pytest
 from numpy.testing import assert_array_equal
 from typer.testing import CliRunner
 
+import slipfree as sf
 from helpers.cases import PROBLEMS
 from helpers.commands import invoke, refused, sets
 from slipfree.cli import app
-from slipfree.core.errors import DataError
-from slipfree.core.trajectory import Outcome
 from slipfree.files import netcdf
 from slipfree.plan.polynomial_motion import from_arrays
-from slipfree.problem.load import load_problem
 from slipfree.problem.report import report
-from slipfree.problem.result import run_problem
 
 HILLS = PROBLEMS / "plan_rigid_hills.toml"
 SMALL = ("plan.intervals=8", "costs.slip=1e3", "time.step=0.5")
@@ -68,7 +65,7 @@ def test_a_damaged_plan_is_refused(name, value):
     plan = {"sizes": sizes, "ends": ends, "unknowns": np.zeros(5), "shift": np.zeros(2)}
     plan = {f"plan_{key}": each for key, each in (plan | {"model": np.ones(1)}).items()}
     assert from_arrays(plan, "a.nc").motion.duration == 0
-    with pytest.raises(DataError, match=r"a\.nc: .*the file is damaged"):
+    with pytest.raises(sf.DataError, match=r"a\.nc: .*the file is damaged"):
         from_arrays(plan | {f"plan_{name}": np.array(value, dtype=float)}, "a.nc")
 
 
@@ -115,7 +112,7 @@ def test_an_interrupted_plan_says_so_first_and_names_the_command_that_goes_on(st
     again = CliRunner().invoke(app, shlex.split(go_on)[1:])
     assert again.exit_code == 0, again.output
     assert re.match("outcome +complete\n", again.stdout)
-    assert netcdf.read(file).outcome is Outcome.COMPLETE
+    assert netcdf.read(file).outcome is sf.Outcome.COMPLETE
 
 
 @pytest.mark.slow
@@ -124,10 +121,10 @@ def test_an_interrupted_refinement_gives_no_advice_on_the_mesh():
         if phase.endswith("intervals"):
             raise KeyboardInterrupt
 
-    outcome = run_problem(load_problem(HILLS, [*SMALL, "plan.accuracy=1e-7"]), tell=interrupt)
+    outcome = sf.run_problem(sf.load_problem(HILLS, [*SMALL, "plan.accuracy=1e-7"]), tell=interrupt)
     stop = outcome.trajectory.stop
     assert stop.name == "plan_accuracy"
-    assert stop.outcome is Outcome.INTERRUPTED
+    assert stop.outcome is sf.Outcome.INTERRUPTED
     pattern = (
         r"no usable plan: its simulation misses x by [\d.e-]+ m, .* rad.*; "
         "plan.accuracy allows 1e-07: the refinement of its mesh was stopped"

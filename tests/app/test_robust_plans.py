@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+import slipfree as sf
 from helpers.cases import PROBLEMS
 from helpers.commands import invoke, pressing, sets
-from slipfree import Bicubic, direct_kinematics, settle
-from slipfree.core.trajectory import Outcome
 from slipfree.files import netcdf
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.inputs import recipe_of
-from slipfree.problem.load import load_problem
-from slipfree.problem.result import build, run_problem
+from slipfree.problem.result import build
 from slipfree.problem.verbs import plan_search
 from slipfree.problem.verbs.plan_search import ReplayTask, replay_draw
 
@@ -66,9 +64,9 @@ def test_gains_of_the_inputs_tighten_the_goal_by_their_quantile(tmp_path, monkey
 
 def test_draws_are_the_same_in_processes_of_their_own(monkeypatch):
     few = (*FLAT, "plan.robust.draws=2", "plan.robust.final_draws=2")
-    alone = run_problem(load_problem(HILLS, few)).trajectory
+    alone = sf.run_problem(sf.load_problem(HILLS, few)).trajectory
     monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 2)
-    apart = run_problem(load_problem(HILLS, few)).trajectory
+    apart = sf.run_problem(sf.load_problem(HILLS, few)).trajectory
     names = [name for name in alone.facts if name.startswith("plan_share")]
     assert len(names) > 5
     assert [apart.facts[name] for name in names] == [alone.facts[name] for name in names]
@@ -76,8 +74,8 @@ def test_draws_are_the_same_in_processes_of_their_own(monkeypatch):
 
 def test_world_without_errors_keeps_the_bounds_of_the_plan():
     exact = (*PLAIN, "plan.robust.map={rms=1e-9, correlation=1.0}", "plan.robust.goal=0.01")
-    motion = from_arrays(run_problem(load_problem(HILLS, PLAIN)).arrays, "first").motion
-    task = ReplayTask(recipe_of(load_problem(HILLS, exact)), (motion,), (0, 0, 0))
+    motion = from_arrays(sf.run_problem(sf.load_problem(HILLS, PLAIN)).arrays, "first").motion
+    task = ReplayTask(recipe_of(sf.load_problem(HILLS, exact)), (motion,), (0, 0, 0))
     (replay,) = replay_draw(task)
     assert replay.holds
     assert replay.distance < 1e-3
@@ -103,23 +101,23 @@ def test_ctrl_c_during_the_drawn_worlds_keeps_the_plan():
         if phase == "drawn worlds":
             raise KeyboardInterrupt
 
-    found = run_problem(load_problem(HILLS, FLAT), tell=interrupt)
-    assert found.outcome is Outcome.INTERRUPTED
+    found = sf.run_problem(sf.load_problem(HILLS, FLAT), tell=interrupt)
+    assert found.outcome is sf.Outcome.INTERRUPTED
     assert "drawn worlds" in found.trajectory.stop.words
     assert found.trajectory["y"][-1] == pytest.approx(2.0, abs=1e-3)
 
 
 def test_limits_of_a_guaranteed_plan_hold_with_the_ground_under_the_wheels_shifted():
     error, least = 0.005, -0.062
-    problem = load_problem(TILTS, [f"limits.pitch=[{least}, 0.2]", f"plan.guarantee={error}"])
-    found, setup = run_problem(problem).trajectory, build(problem)
+    problem = sf.load_problem(TILTS, [f"limits.pitch=[{least}, 0.2]", f"plan.guarantee={error}"])
+    found, setup = sf.run_problem(problem).trajectory, build(problem)
     k, grid, pitch = int(found["pitch"].argmin()), setup.terrain.grid, list[float]()
     x, y = (found[f"contact_{axis}"][k] for axis in "xy")
     nearest = np.hypot(grid.x[:, None, None] - x, grid.y[:, None] - y).argmin(axis=-1)
     for sides in product([-0.95, 0.95], repeat=3):  # the spline overshoots where the sign changes
-        ground = Bicubic(replace(grid, z=grid.z + error * np.take(sides, nearest)))
-        model = direct_kinematics(setup.vehicle, ground)
-        pose = settle(model, **{name: float(found[name][k]) for name in model.state_names})
+        ground = sf.Bicubic(replace(grid, z=grid.z + error * np.take(sides, nearest)))
+        model = sf.direct_kinematics(setup.vehicle, ground)
+        pose = sf.settle(model, **{name: float(found[name][k]) for name in model.state_names})
         pitch.append(float(pose["pitch"][0]))
     assert least < min(pitch) < least + 0.3 * (found["pitch"][k] - least)
     costs = found.facts["plan_total_cost"], found.facts["plan_untightened_total"]

@@ -14,12 +14,12 @@ from numpy.testing import assert_allclose
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+import slipfree as sf
 from helpers.cases import DATA, PROBLEMS
 from helpers.commands import invoke, refused, sets, shown
 from helpers.figures import moved
 from helpers.problem_files import rough_ground
-from slipfree.core.errors import DataError, ModelError
-from slipfree.core.trajectory import Outcome, Stop
+from slipfree.core.trajectory import Stop
 from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip, part_poses, wheel_poses
 from slipfree.show import ground_drawing, motion_figures
@@ -28,8 +28,6 @@ from slipfree.show.film import draw_faces, film_writer, picture, projected
 from slipfree.show.html_page import with_legend
 from slipfree.show.meshes import MOST, clipped, extruded, plate, rod, roller_axles, spokes
 from slipfree.show.scene import Driven, drive_scene
-from slipfree.terrain.base import Grid
-from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections import Disc, Torus
 
 PROBLEM = (DATA / "scene_of_a_hill.toml").read_text() + rough_ground(
@@ -185,7 +183,7 @@ def test_relief_is_lit_from_the_north_west_in_all_pictures() -> None:
 
 def test_labels_of_a_grid_differ_and_are_complete(drive: Driven) -> None:
     grid = drive.terrain.grid
-    large = Bicubic(Grid(500_000 + 1000 * grid.x, 4_512_000 + 1000 * grid.y, grid.z))
+    large = sf.Bicubic(sf.Grid(500_000 + 1000 * grid.x, 4_512_000 + 1000 * grid.y, grid.z))
     lines = scenes.map_lines(large.grid, large, large.grid.domain, np.zeros(3), 1.0)
     labels = [words for words, _ in next(each for each in lines if each.name == "grid").labels]
     assert {"x 500000 m", "y 4512000 m"} <= {*labels}
@@ -212,12 +210,12 @@ def test_runs_share_a_ground_and_say_where_it_differs(drive: Driven) -> None:
     assert scene.warnings == (said,)
     assert said in with_legend("<body></body>", scene, "title", "height", "", [])
     radius = drive.vehicle.wheels[0].radius
-    with pytest.raises(ModelError, match=r"differs from that of hills by at most"):
+    with pytest.raises(sf.ModelError, match=r"differs from that of hills by at most"):
         drive_scene([drive, lifted(drive, 1.01 * radius)])
     grid = drive.terrain.grid
-    far = Bicubic(Grid(grid.x + 100, grid.y, grid.z))
+    far = sf.Bicubic(sf.Grid(grid.x + 100, grid.y, grid.z))
     with pytest.raises(
-        ModelError,
+        sf.ModelError,
         match="hills: expected a motion on the ground of other, found one that leaves it",
     ):
         drive_scene([drive._replace(name="other", terrain=far, run=moved(drive.run, x=100)), drive])
@@ -226,7 +224,7 @@ def test_runs_share_a_ground_and_say_where_it_differs(drive: Driven) -> None:
 def lifted(drive: Driven, by: float) -> Driven:
     """Return a motion as it would have been on ground that is higher throughout. [m]."""
     grid = drive.terrain.grid
-    higher = Bicubic(Grid(grid.x, grid.y, grid.z + by), drive.terrain.center)
+    higher = sf.Bicubic(sf.Grid(grid.x, grid.y, grid.z + by), drive.terrain.center)
     return drive._replace(name="other", terrain=higher, run=moved(drive.run, z=by))
 
 
@@ -234,7 +232,7 @@ def test_a_long_way_is_drawn_finely_and_followed(drive: Driven) -> None:
     """A vehicle of one metre on a map of kilometres stands on the ground that is drawn."""
     x = np.linspace(-3000, 3000, 601)
     waves = 5 * np.sin(x / 20)[:, None] * np.cos(x / 25)
-    large = Bicubic(Grid(x, x, waves))
+    large = sf.Bicubic(sf.Grid(x, x, waves))
     way = np.linspace(-2000, 2000, drive.run.t.size)
     run = moved(drive.run, x=0.0)
     columns = dict(run.columns)
@@ -269,7 +267,7 @@ def test_a_long_way_is_drawn_finely_and_followed(drive: Driven) -> None:
 
 
 def test_a_motion_that_stopped_says_so(drive: Driven) -> None:
-    run = replace(drive.run, stop=Stop("grip", 1.0, "a wheel has no grip", Outcome.LIMIT))
+    run = replace(drive.run, stop=Stop("grip", 1.0, "a wheel has no grip", sf.Outcome.LIMIT))
     scene = drive_scene([drive._replace(run=run)])
     assert scene.actors[0].stop == "stopped at t = 1 s: a wheel has no grip"
     assert scene.actors[0].stop in with_legend("<body></body>", scene, "title", "height", "", [])
@@ -401,7 +399,7 @@ def test_an_interrupted_film_leaves_nothing(
 
 def test_without_ffmpeg_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FFMpegWriter, "isAvailable", classmethod(lambda _: False))
-    with pytest.raises(DataError, match=r"need the program ffmpeg, found none; install it"):
+    with pytest.raises(sf.DataError, match=r"need the program ffmpeg, found none; install it"):
         film_writer(Path("film.mp4"), 20)
 
 
@@ -409,7 +407,7 @@ def test_holes_are_drawn_empty(drive: Driven) -> None:
     grid = drive.terrain.grid
     holes = np.zeros(grid.z.shape, bool)
     holes[:6] = True
-    terrain = Bicubic(Grid(grid.x, grid.y, grid.z, holes=holes), drive.terrain.center)
+    terrain = sf.Bicubic(sf.Grid(grid.x, grid.y, grid.z, holes=holes), drive.terrain.center)
     drawn = drive_scene([drive._replace(terrain=terrain)])
     mesh = drawn.ground.mesh
     x, _, _ = (mesh.vertices[mesh.faces].mean(axis=1) + drawn.origin).T

@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import slipfree as sf
 from helpers.commands import invoke, refused, refuses
 from helpers.fuzz_files import bases, document
-from slipfree.core.errors import DataError
 from slipfree.files import netcdf
-from slipfree.files.maps.elevation import read_map
-from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.base import DriveVerb
 from slipfree.sweep import sweep_of
 from slipfree.system import regular_files
@@ -169,9 +167,9 @@ def test_a_medium_that_fails_while_it_is_read(tmp_path, monkeypatch):
     for name in ("a.toml", "a.asc", "a.nc"):
         (tmp_path / name).write_text("")
     monkeypatch.setattr(Path, "open", fail)
-    for read in (load_problem, read_map, netcdf.read):
-        name = {load_problem: "a.toml", read_map: "a.asc"}.get(read, "a.nc")
-        refuses(DataError, r"cannot be read \(Input/output error\)", read, tmp_path / name)
+    for read in (sf.load_problem, sf.read_map, netcdf.read):
+        name = {sf.load_problem: "a.toml", sf.read_map: "a.asc"}.get(read, "a.nc")
+        refuses(sf.DataError, r"cannot be read \(Input/output error\)", read, tmp_path / name)
 
 
 @pytest.mark.slow

@@ -6,17 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree import Analytic, Solids, SolverOptions, dynamics, settle, simulate
+import slipfree as sf
 from slipfree.catalog import step_climber
 from slipfree.climb.contact_path import TrackedPlan, Tracking, legs, tracked_plan
 from slipfree.climb.contact_path import climb as program
 from slipfree.climb.metrics import Metrics, climb_metrics
 from slipfree.control.step_climbing import StepClimbing, climbing
-from slipfree.core.trajectory import Trajectory
-from slipfree.laws.compliant import Compliant
 from slipfree.plan.ipopt import solve_nlp
 from slipfree.terrain.solids import Profile, placed, ramp, step
-from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
+from slipfree.vehicle.tree import EARTH_GRAVITY
 
 AMPLE = 8.0  # torque of the lab's motors that "never" limits; on the step it does, 1 % of the time
 SPEED, HEIGHT, EVERY, AHEAD = 0.25, 0.09, 2e-3, 0.05
@@ -52,9 +50,9 @@ CLIMBER = step_climber()
 class Climb(NamedTuple):
     """A motion and what it is of."""
 
-    vehicle: Vehicle
+    vehicle: sf.Vehicle
     profile: Profile
-    run: Trajectory
+    run: sf.Trajectory
 
     @property
     def metrics(self) -> Metrics:
@@ -85,16 +83,16 @@ def stiff(vehicle, grip):
     depth = vehicle.mass * EARTH_GRAVITY / 3 / grip.stiffness
     wheels = tuple(replace(wheel, static_depth=depth) for wheel in vehicle.wheels)
     ratio = grip.damping * np.sqrt(EARTH_GRAVITY * depth) / 2
-    law = Compliant(ratio, grip.creep, grip.dynamic / grip.static, grip.stribeck)
+    law = sf.Compliant(ratio, grip.creep, grip.dynamic / grip.static, grip.stribeck)
     return replace(vehicle, wheels=wheels), law
 
 
 def gripped(vehicle, profile, control, grip, *, sampled=False):
     """The vehicle with the stiffness of its contacts, and its model."""
     vehicle, law = stiff(vehicle, grip)
-    floor = Analytic(lambda x, _y: 0 * x, mu=grip.static)
+    floor = sf.Analytic(lambda x, _y: 0 * x, mu=grip.static)
     prisms = placed(profile)
-    model = dynamics(vehicle, Solids(floor, prisms) if prisms else floor, law=law)
+    model = sf.dynamics(vehicle, sf.Solids(floor, prisms) if prisms else floor, law=law)
     return vehicle, climbing(model, control, profile, sampled=sampled)
 
 
@@ -102,7 +100,7 @@ def begin(vehicle, profile, control, grip, speed=SPEED, **options):
     """The model, and its start rolling towards the climb."""
     vehicle, dae = gripped(vehicle, profile, control, grip, **options)
     joint = foot(profile) - vehicle.wheels[2].at[1]
-    return dae, settle(dae, y=joint, speed=speed)
+    return dae, sf.settle(dae, y=joint, speed=speed)
 
 
 @lru_cache(maxsize=32)
@@ -121,8 +119,8 @@ def climb(
     vehicle = vehicle or step_climber()
     dae, start = begin(vehicle, profile, replace(control, torque=torque), contact, speed)
     t = np.arange(round(until / every) + 1) * every
-    options = SolverOptions(tolerance=tolerance)
-    run = simulate(dae, start, dae.inputs(reference_speed=speed), t, options=options)
+    options = sf.SolverOptions(tolerance=tolerance)
+    run = sf.simulate(dae, start, dae.inputs(reference_speed=speed), t, options=options)
     return Climb(vehicle, profile, run)
 
 

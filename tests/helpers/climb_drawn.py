@@ -6,16 +6,13 @@ from typing import NamedTuple, get_args
 
 import numpy as np
 
+import slipfree as sf
 from helpers.climb_cases import Grip, gripped
-from slipfree import SolverOptions
 from slipfree.catalog import step_climber
 from slipfree.control.step_climbing import Law, StepClimbing, held_torques, largest_period
-from slipfree.core.trajectory import Trajectory
-from slipfree.solve.settle import settle
-from slipfree.solve.simulate import simulate, simulate_sampled
+from slipfree.solve.simulate import simulate_sampled
 from slipfree.terrain.solids import Profile, kerb, ramp, stairs, step
 from slipfree.vehicle.sections import Disc
-from slipfree.vehicle.tree import Body, Vehicle
 
 AHEAD, EVERY, TOLERANCE = 0.02, 0.01, 1e-6
 WAY, EXTRA = 2.0, 2.0  # of a run, with the way that stairs add [m], and its time beyond that [s]
@@ -24,7 +21,7 @@ WAY, EXTRA = 2.0, 2.0  # of a run, with the way that stairs add [m], and its tim
 class Drawn(NamedTuple):
     """What climbs what, and how; ``period`` is that of a sampled controller [s] or None."""
 
-    vehicle: Vehicle
+    vehicle: sf.Vehicle
     profile: Profile
     contact: Grip
     control: StepClimbing
@@ -43,23 +40,23 @@ def drawn(seed: int) -> Drawn:
     return Drawn(vehicle, profile, contact, control, rng.uniform(0.1, 0.4), period)
 
 
-def drive(case: Drawn) -> Trajectory:
+def drive(case: Drawn) -> sf.Trajectory:
     """Return its motion."""
     sampled = case.period is not None
     vehicle, dae = gripped(case.vehicle, case.profile, case.control, case.contact, sampled=sampled)
     front = vehicle.wheels[2]
-    start = settle(dae, y=-front.radius - AHEAD - front.at[1], speed=case.speed)
-    until, options = WAY / case.speed + EXTRA, SolverOptions(tolerance=TOLERANCE)
+    start = sf.settle(dae, y=-front.radius - AHEAD - front.at[1], speed=case.speed)
+    until, options = WAY / case.speed + EXTRA, sf.SolverOptions(tolerance=TOLERANCE)
     if case.period is None:
         t = np.linspace(0, until, round(until / EVERY) + 1)
-        return simulate(dae, start, dae.inputs(reference_speed=case.speed), t, options=options)
+        return sf.simulate(dae, start, dae.inputs(reference_speed=case.speed), t, options=options)
     t = np.arange(round(until / case.period) + 1) * case.period
     held = held_torques(dae, case.control)
     inputs = dae.inputs(reference_speed=case.speed, **held)
     return simulate_sampled(dae, start, inputs, t, options=options)
 
 
-def finite(run: Trajectory) -> bool:
+def finite(run: sf.Trajectory) -> bool:
     """Return whether all that was sampled is a number."""
     return all(np.isfinite(run[name]).all() for name in run)
 
@@ -69,14 +66,14 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
     return math.exp(rng.uniform(math.log(low), math.log(high)))
 
 
-def _vehicle(rng: np.random.Generator) -> tuple[Vehicle, float]:
+def _vehicle(rng: np.random.Generator) -> tuple[sf.Vehicle, float]:
     """Return a vehicle, and the largest torque of its motors."""
     base = step_climber(joint=rng.choice([0.0, rng.uniform(0, 0.126)]))
     bodies = []
     for body in (base.body, base.joints[0].body):
         mass, ahead = body.mass * _between(rng, 0.6, 1.6), body.at[1] + rng.uniform(-0.02, 0.02)
         above, inertia = rng.uniform(0.0, 0.12), body.inertia[0] * _between(rng, 0.5, 2.0)
-        bodies.append(Body(mass, (0.0, ahead, above), 3 * (inertia,) + 3 * (0.0,)))
+        bodies.append(sf.Body(mass, (0.0, ahead, above), 3 * (inertia,) + 3 * (0.0,)))
     spins = [wheel.inertia[0] * _between(rng, 0.5, 2.0) for wheel in base.wheels]
     torque = float(rng.choice([math.inf, _between(rng, 2.0, 16.0)], p=[0.2, 0.8]))
     section = Disc(rng.uniform(0.05, 0.08))

@@ -12,18 +12,15 @@ from typing import Any, NamedTuple
 
 from typer.testing import CliRunner
 
+import slipfree as sf
 from helpers.fuzz_damage import Case
 from slipfree.cli import app
 from slipfree.cli.console import UNEXPECTED
-from slipfree.core.errors import SlipfreeError
-from slipfree.files.maps.elevation import read_map
 from slipfree.files.mcap import read_joint_commands, read_mcap
 from slipfree.files.netcdf import read_arrays
-from slipfree.problem.load import load_problem
 from slipfree.problem.report import describe
-from slipfree.problem.result import build, run_problem
+from slipfree.problem.result import build
 from slipfree.problem.schema import Time
-from slipfree.terrain.bicubic import Bicubic
 
 READ, REFUSED = "read", "refused"
 LONGEST = 20_000  # characters that somebody may read as a message
@@ -47,7 +44,7 @@ def judged(case: Case, folder: Path, *, deep: bool = False) -> Verdict:
         try:
             USES.get(case.kind, _use_map)(main, deep)
             found = Verdict(READ)
-        except SlipfreeError as error:
+        except sf.SlipfreeError as error:
             found = _of_message(str(error), [str(folder), *case.files, "/dev/null"])
         except Exception as error:  # what is to be found
             place = traceback.extract_tb(error.__traceback__)
@@ -90,21 +87,21 @@ def _of_message(words: str, names: list[str]) -> Verdict:
 
 
 def _use_problem(file: Path, deep: bool) -> None:
-    problem = load_problem(file)
+    problem = sf.load_problem(file)
     build(problem)
     if deep and problem.spec.verb != "plan" and getattr(problem.spec, "path", None) is None:
-        run_problem(replace(problem, spec=problem.spec.model_copy(update={"time": SHORT})))  # type: ignore[arg-type]
+        sf.run_problem(replace(problem, spec=problem.spec.model_copy(update={"time": SHORT})))  # type: ignore[arg-type]
 
 
 def _use_vehicle(file: Path, _: bool) -> None:
     found = describe(file)
     if found.faults:
-        raise SlipfreeError("\n".join(found.faults))
+        raise sf.SlipfreeError("\n".join(found.faults))
 
 
 def _use_cloud(file: Path, _: bool) -> None:
-    grid = read_map(file).grid
-    Bicubic(grid).elevation(grid.x[:2], grid.y[:2])
+    grid = sf.read_map(file).grid
+    sf.Bicubic(grid).elevation(grid.x[:2], grid.y[:2])
 
 
 def _use_log(file: Path, deep: bool) -> None:
@@ -122,9 +119,9 @@ def _use_map(file: Path, _: bool) -> None:
     refused = []
     for each in asked:
         try:
-            grid = read_map(file, **each).grid
-            Bicubic(grid).elevation(grid.x[:2], grid.y[:2])
-        except SlipfreeError as error:
+            grid = sf.read_map(file, **each).grid
+            sf.Bicubic(grid).elevation(grid.x[:2], grid.y[:2])
+        except sf.SlipfreeError as error:
             refused.append(error)
     if len(refused) == len(asked):
         raise refused[0]
@@ -151,7 +148,7 @@ def _use_result(file: Path, deep: bool) -> None:
         if result.exit_code:
             refused.append(result.stderr)
     if refused:
-        raise SlipfreeError(min(refused, key=lambda words: name in words))
+        raise sf.SlipfreeError(min(refused, key=lambda words: name in words))
     read_arrays(file)
 
 

@@ -21,12 +21,10 @@ import slipfree as sf
 from helpers.vehicles import four_wheels, skid_steered
 from slipfree.catalog import three_wheeler
 from slipfree.core.records import leaves
-from slipfree.models.montana import montana_kinematics
 from slipfree.problem.schema import SLIP_LAWS
 from slipfree.terrain.rolled import rolled
 from slipfree.terrain.synthetic import blank, craters, power_law, ramp, rocks
 from slipfree.vehicle.sections import Torus
-from slipfree.vehicle.tree import Coordinate, Joint, Vehicle, Wheel
 
 SIDE = 12.0  # of a map, in the middle of which the vehicles start [m]
 UTM = (431_250.0, 5_312_740.0, 812.0)  # where maps with large coordinates lie [m]
@@ -215,19 +213,19 @@ def ground_of(case: Case, radius: float) -> sf.Analytic | sf.Bicubic:
 # --- vehicles -------------------------------------------------------------------------------------
 
 
-def all_steered() -> Vehicle:
+def all_steered() -> sf.Vehicle:
     """Return a vehicle with three driven wheels, each steered on its own."""
     places = {"fr": (0.4, 0.5), "fl": (-0.4, 0.5), "b": (0.0, -0.5)}
-    return Vehicle(
+    return sf.Vehicle(
         "all_steered",
-        tuple(Coordinate(f"steer_{k}", "commanded", "steering") for k in places),
-        tuple(Joint(k, "platform", "z", (*at, 0.0), f"steer_{k}") for k, at in places.items()),
-        tuple(Wheel(k, k, (0.0, 0.0, 0.0), Torus(0.03, 0.12), driven=True) for k in places),
+        tuple(sf.Coordinate(f"steer_{k}", "commanded", "steering") for k in places),
+        tuple(sf.Joint(k, "platform", "z", (*at, 0.0), f"steer_{k}") for k, at in places.items()),
+        tuple(sf.Wheel(k, k, (0.0, 0.0, 0.0), Torus(0.03, 0.12), driven=True) for k in places),
     )
 
 
-def _axles(axle: str) -> Callable[[np.random.Generator, str], Vehicle]:
-    def make(rng: np.random.Generator, wheels: str) -> Vehicle:
+def _axles(axle: str) -> Callable[[np.random.Generator, str], sf.Vehicle]:
+    def make(rng: np.random.Generator, wheels: str) -> sf.Vehicle:
         radius, share = rng.uniform(0.15, 0.4), rng.uniform(0.05, 0.6)
         r1 = {"torus": share, "disc": 0.0, "sphere": 1.0}[wheels] * radius
         stop = rng.uniform(0.02, 0.6) if rng.random() < 0.4 else np.inf
@@ -244,7 +242,7 @@ def _axles(axle: str) -> Callable[[np.random.Generator, str], Vehicle]:
     return make
 
 
-VEHICLES: dict[str, Callable[[np.random.Generator, str], Vehicle]] = {
+VEHICLES: dict[str, Callable[[np.random.Generator, str], sf.Vehicle]] = {
     **{
         each: _axles(each)
         for each in ("tilting", "sliding", "prismatic", "prismatic_undriven", "actuated", "fixed")
@@ -261,7 +259,7 @@ VEHICLE_SHARES = dict.fromkeys(VEHICLES, 1.0) | {"tilting": 9, "four_wheels": 2,
 START_SHARES = {"level": 6, "posed": 6, "extreme": 1, "outside": 0.5, "poor guess": 1}
 
 
-def start_of(case: Case, ground: Any, vehicle: Vehicle) -> dict[str, Any]:
+def start_of(case: Case, ground: Any, vehicle: sf.Vehicle) -> dict[str, Any]:
     """Return the arguments of ``settle``."""
     rng, (x, y, _) = case.rng("start"), ground.origin
     place = rng.uniform(-0.5, 0.5, 2) if case.ground == "small" else rng.uniform(-2, 2, 2)
@@ -390,7 +388,7 @@ def build(case: Case) -> tuple[Any, ...]:
     closure = sf.direct_kinematics(vehicle, ground, slip=SLIP_LAWS[case.slip]())
     dae = closure
     if case.formulation == "montana":
-        dae = montana_kinematics(vehicle, ground, slip=SLIP_LAWS[case.slip]())
+        dae = sf.montana_kinematics(vehicle, ground, slip=SLIP_LAWS[case.slip]())
     start = sf.settle(closure, **start_of(case, ground, vehicle))
     inputs = inputs_of(case, dae, start, count)
     if isinstance(inputs, dict):
@@ -472,7 +470,7 @@ def _own_words(case: Case, run: Any, faults: list[str], sizes: dict[str, float],
         faults.append(f"stopped, but not in words: {run.stop}")
 
 
-def chain(vehicle: Vehicle, run: Any, origin: Any) -> tuple[np.ndarray, list[Rotation]]:
+def chain(vehicle: sf.Vehicle, run: Any, origin: Any) -> tuple[np.ndarray, list[Rotation]]:
     """Return wheel centres, shape (n, n_wheels, 3), and carriers' rotations from saved poses."""
     angles = np.stack([run[name] for name in ("heading", "roll", "pitch")], -1)
     base = np.stack([run[name] - o for name, o in zip("xyz", origin, strict=True)], -1)
@@ -488,7 +486,7 @@ def chain(vehicle: Vehicle, run: Any, origin: Any) -> tuple[np.ndarray, list[Rot
     return centers, [turn for _, turn, _ in wheels]
 
 
-def _stretch(vehicle: Vehicle, centers: np.ndarray) -> float:
+def _stretch(vehicle: sf.Vehicle, centers: np.ndarray) -> float:
     """Return how much the distances change that no joint changes. [m]."""
     rng, names = np.random.default_rng(0), ["heading", "roll", "pitch", *"xyz"]
     names += [c.name for c in vehicle.coordinates]
@@ -501,7 +499,7 @@ def _stretch(vehicle: Vehicle, centers: np.ndarray) -> float:
     return float(np.abs(distances(centers) - distances(free)[0])[:, rigid].max())
 
 
-def _depth(vehicle: Vehicle, ground: Any, centers: np.ndarray, turns: list[Rotation]) -> float:
+def _depth(vehicle: sf.Vehicle, ground: Any, centers: np.ndarray, turns: list[Rotation]) -> float:
     """Return how deep the wheels reach into the ground, on a few samples. [m]."""
     deepest, v, u = 0.0, np.linspace(0, 2 * np.pi, 181), np.linspace(0, np.pi, 19)
     for k in np.unique(np.linspace(0, len(centers) - 1, 6).astype(int)):
@@ -565,7 +563,7 @@ def _said(run: Any) -> np.ndarray:
     return np.hypot(run["slip_along"][2], run["slip_across"][2])
 
 
-def material_slip(vehicle: Vehicle, ground: Any, run: Any) -> np.ndarray:
+def material_slip(vehicle: sf.Vehicle, ground: Any, run: Any) -> np.ndarray:
     """Return the speeds of the wheels' material contact points at the middle of five samples."""
     centers, turns = chain(vehicle, run, ground.origin)
     step = run.t[1] - run.t[0]

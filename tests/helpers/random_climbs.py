@@ -11,16 +11,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+import slipfree as sf
 from helpers.random_dynamics import VEHICLES as DRIVEN
 from helpers.random_dynamics import Ending, ledger
-from slipfree import Analytic, Solids, SolverOptions, catalog, settle, simulate
-from slipfree.core.dae import Dae
-from slipfree.core.errors import SlipfreeError
-from slipfree.core.trajectory import SolverError, Trajectory, joined
-from slipfree.models.dynamics import dynamics
+from slipfree.core.trajectory import joined
 from slipfree.models.samples import ObstacleEnding, obstacle_ending
 from slipfree.terrain.solids import Profile, kerb, placed, ramp, stairs, step
-from slipfree.vehicle.tree import Vehicle
 
 VEHICLES = (*DRIVEN, "seven_wheels")
 OBSTACLES = ("step", "kerb", "stairs", "ramp")
@@ -38,7 +34,7 @@ class World:
     """A vehicle, an obstacle that rises along y, and its half-width [m]."""
 
     words: str
-    vehicle: Vehicle
+    vehicle: sf.Vehicle
     profile: Profile
     half_width: float
 
@@ -65,7 +61,7 @@ def world(group: int) -> World:
     rng = np.random.default_rng([24, group])
     name, kind = VEHICLES[group % len(VEHICLES)], str(rng.choice(OBSTACLES))
     masses = {"wheel_mass": 0.4} if name == "seven_wheels" else {}
-    vehicle = getattr(catalog, name)(**masses)
+    vehicle = getattr(sf.catalog, name)(**masses)
     radius = min(wheel.radius for wheel in vehicle.wheels)
     height = radius * float(rng.uniform(0.2, 1.6))
     profile = {
@@ -91,7 +87,7 @@ def draw(index: int) -> Climb:
 
 
 @lru_cache(maxsize=2)
-def model(group: int) -> tuple[Dae, Solids]:
+def model(group: int) -> tuple[sf.Dae, sf.Solids]:
     """Return the model of a group, and its ground; the obstacle begins at y = 0."""
     its = world(group)
 
@@ -99,21 +95,21 @@ def model(group: int) -> tuple[Dae, Solids]:
         return FRICTIONS[0] + (FRICTIONS[1] - FRICTIONS[0]) * ca.floor(x / LANE)
 
     x = LANE * (group % FRICTIONS.size + 0.5)  # of narrow obstacles
-    level = Analytic(lambda x, y: 0 * (x + y), mu=mu)
-    ground = Solids(level, placed(its.profile, x=x, half_width=its.half_width))
-    return dynamics(its.vehicle, ground), ground
+    level = sf.Analytic(lambda x, y: 0 * (x + y), mu=mu)
+    ground = sf.Solids(level, placed(its.profile, x=x, half_width=its.half_width))
+    return sf.dynamics(its.vehicle, ground), ground
 
 
 @lru_cache(maxsize=len(VEHICLES))
-def level_model(group: int) -> Dae:
+def level_model(group: int) -> sf.Dae:
     """Return the model of a group's vehicle on level ground."""
-    return dynamics(world(group).vehicle, Analytic(lambda x, y: 0 * (x + y), mu=1.0))
+    return sf.dynamics(world(group).vehicle, sf.Analytic(lambda x, y: 0 * (x + y), mu=1.0))
 
 
-def start(case: Climb) -> Trajectory:
+def start(case: Climb) -> sf.Trajectory:
     """Return the vehicle at rest before the obstacle."""
     its, level = world(case.group), level_model(case.group % len(VEHICLES))
-    rest = settle(level, x=0.0, y=0.0, heading=case.heading)
+    rest = sf.settle(level, x=0.0, y=0.0, heading=case.heading)
     y = -rest["center_y"].max() - (1 + CLEARANCE) * its.radius
     shifts = {"x": LANE * (case.lane + 0.5), "y": y}
     moved = {
@@ -123,7 +119,7 @@ def start(case: Climb) -> Trajectory:
     return replace(rest, columns={**rest.columns, **moved})
 
 
-def run(case: Climb, tolerance: float = TOLERANCE) -> Trajectory:
+def run(case: Climb, tolerance: float = TOLERANCE) -> sf.Trajectory:
     """Return the motion of a climb, from rest at the rates of its speed, until it has an ending."""
     dae, _ = model(case.group)
     rates = {label.full: 0.0 for part in dae.labels.u for label in part}
@@ -133,17 +129,17 @@ def run(case: Climb, tolerance: float = TOLERANCE) -> Trajectory:
     first = start(case)
     length = np.ptp(first["center_y"]) + 2 * world(case.group).radius
     duration = case.leg * length / np.cos(case.heading) / case.speed
-    t, options = np.linspace(0, duration, SAMPLES), SolverOptions(tolerance)
-    motion = simulate(dae, first, dae.inputs(**rates), t, options=options)
+    t, options = np.linspace(0, duration, SAMPLES), sf.SolverOptions(tolerance)
+    motion = sf.simulate(dae, first, dae.inputs(**rates), t, options=options)
     for k in range(1, LEGS):
         if motion.stop is not None or over_obstacle(case, motion).name != "unfinished":
             break
-        more = simulate(dae, motion, dae.inputs(**rates), t + k * duration, options=options)
+        more = sf.simulate(dae, motion, dae.inputs(**rates), t + k * duration, options=options)
         motion = joined(motion, more.part(slice(1, None), more.stop))
     return motion
 
 
-def over_obstacle(case: Climb, motion: Trajectory) -> ObstacleEnding:
+def over_obstacle(case: Climb, motion: sf.Trajectory) -> ObstacleEnding:
     """Return the ending of a motion by `obstacle_ending`."""
     found = obstacle_ending(motion, world(case.group).vehicle, model(case.group)[1].prisms)
     assert found is not None
@@ -154,9 +150,9 @@ def ending(case: Climb) -> Ending:
     """Return how a climb ends: as by `obstacle_ending`, at another limit, or by an error."""
     try:
         motion = run(case)
-    except SolverError as error:
+    except sf.SolverError as error:
         return Ending("failure", str(error), ledger(error.trajectory, TOLERANCE))
-    except SlipfreeError as error:
+    except sf.SlipfreeError as error:
         return Ending("refused", str(error))
     found = over_obstacle(case, motion)
     kind = str(found.name)

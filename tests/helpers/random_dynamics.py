@@ -9,14 +9,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree import Analytic, Bicubic, Grid, SolverOptions, catalog, settle, simulate
-from slipfree.core.errors import SlipfreeError
-from slipfree.core.trajectory import SolverError, Trajectory
+import slipfree as sf
 from slipfree.geometry.frame import unit_vector
-from slipfree.models.dynamics import dynamics
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.synthetic import power_law
-from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Drive, Motor, Rate, Torque, Vehicle
+from slipfree.vehicle.tree import EARTH_GRAVITY, Drive
 
 VEHICLES = (
     "three_wheeler",
@@ -40,7 +37,7 @@ class Case:
     """A random run: vehicle, ground, forward speed, heading, inputs by name and times."""
 
     words: str
-    vehicle: Vehicle
+    vehicle: sf.Vehicle
     ground: Ground
     speed: float
     heading: float
@@ -53,7 +50,7 @@ def draw(index: int) -> Case:
     rng = np.random.default_rng([20, index])
     name, ground = str(rng.choice(VEHICLES)), str(rng.choice(GROUNDS))
     speed = float(np.exp(rng.uniform(np.log(0.05), np.log(4.0))))
-    vehicle = getattr(catalog, name)()
+    vehicle = getattr(sf.catalog, name)()
     drives = str(rng.choice(["rate", "torque", "motor", "mixed"]))
     radius = max(wheel.radius for wheel in vehicle.wheels)
     terrain = drawn_ground(ground, radius, rng)
@@ -67,7 +64,7 @@ def draw(index: int) -> Case:
             side = 1 + turn * np.sign(wheel.at[0])
             value = float(rng.uniform(-0.2, 0.6)) * share * wheel.radius
             rate = speed / wheel.radius * side
-            torque = isinstance(wheel.drive, Torque)
+            torque = isinstance(wheel.drive, sf.Torque)
             inputs[f"{wheel.name}_{'torque' if torque else 'rate'}"] = value if torque else rate
         wheels.append(wheel)
     for c in vehicle.coordinates:
@@ -83,17 +80,17 @@ def draw(index: int) -> Case:
 def drawn_drive(kind: str, torque: float, speed: float, wheel: Any, rng: Any) -> Drive:
     """Return a drive for a wheel whose share of the weight times its radius is ``torque``."""
     if kind != "motor":
-        return {"rate": Rate(), "torque": Torque()}[kind]
+        return {"rate": sf.Rate(), "torque": sf.Torque()}[kind]
     stall, fast = torque * rng.uniform(0.2, 2), speed / wheel.radius * rng.uniform(1.2, 4)
     rotor = float(rng.choice([0.0, 0.01]))
-    return Motor(float(stall), float(fast), float(stall), float(rng.choice([0, stall])), rotor)
+    return sf.Motor(float(stall), float(fast), float(stall), float(rng.choice([0, stall])), rotor)
 
 
 @dataclass(frozen=True)
 class Ground:
     """A ground that can be mirrored and turned: heights as a formula or a grid, and friction."""
 
-    heights: Callable[[Any, Any], Any] | Grid
+    heights: Callable[[Any, Any], Any] | sf.Grid
     mu: Callable[[Any, Any], Any]
 
     def terrain(self, view: str = "as drawn") -> Terrain:
@@ -104,13 +101,13 @@ class Ground:
                 return lambda x, y: function(-x, y)
             return function if view == "as drawn" else lambda x, y: function(y, -x)
 
-        if not isinstance(self.heights, Grid):
-            return Analytic(of(self.heights), mu=of(self.mu))
+        if not isinstance(self.heights, sf.Grid):
+            return sf.Analytic(of(self.heights), mu=of(self.mu))
         x, y, z = self.heights.x, self.heights.y, self.heights.z
         if view == "mirrored":
-            return Bicubic(Grid(-x[::-1], y, z[::-1]), mu=of(self.mu))
-        turned = Grid(-y[::-1], x, z.T[::-1]) if view == "turned" else self.heights
-        return Bicubic(turned, mu=of(self.mu))
+            return sf.Bicubic(sf.Grid(-x[::-1], y, z[::-1]), mu=of(self.mu))
+        turned = sf.Grid(-y[::-1], x, z.T[::-1]) if view == "turned" else self.heights
+        return sf.Bicubic(turned, mu=of(self.mu))
 
 
 def drawn_ground(kind: str, radius: float, rng: Any) -> Ground:
@@ -124,7 +121,7 @@ def drawn_ground(kind: str, radius: float, rng: Any) -> Ground:
         half, spacing = (60 * radius, 1.5 * radius) if kind == "map" else (40 * radius, radius / 2)
         axis = spacing * np.arange(-round(half / spacing), round(half / spacing) + 1)
         rms = radius * rng.uniform(0.1, 0.5)
-        flat = Grid(axis, axis, np.zeros((axis.size, axis.size)))
+        flat = sf.Grid(axis, axis, np.zeros((axis.size, axis.size)))
         sizes = {"hurst": 0.8, "longest": 40 * radius, "shortest": 12 * radius}
         return Ground(power_law(flat, rms=rms, seed=int(rng.integers(1000)), **sizes), mu)
     if kind == "ledge":
@@ -143,7 +140,7 @@ def drawn_ground(kind: str, radius: float, rng: Any) -> Ground:
     return Ground(lambda x, y: amplitude * ca.sin(k * x + phase[0]) * ca.cos(k * y + phase[1]), mu)
 
 
-def mirrored(vehicle: Vehicle) -> Vehicle:
+def mirrored(vehicle: sf.Vehicle) -> sf.Vehicle:
     """Return a vehicle mirrored at its plane x = 0, with the same names and positive rates."""
 
     def point(at: Any) -> tuple[float, float, float]:
@@ -153,7 +150,7 @@ def mirrored(vehicle: Vehicle) -> Vehicle:
         x, y, z = unit_vector(given)
         return x, -y, -z
 
-    def body(given: Body) -> Body:
+    def body(given: sf.Body) -> sf.Body:
         inertia = given.inertia
         if inertia is not None:
             xx, yy, zz, xy, xz, yz = inertia
@@ -172,15 +169,15 @@ def mirrored(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, joints=tuple(joints), wheels=tuple(wheels), body=body(vehicle.body))
 
 
-def run(case: Case, view: str = "as drawn", tolerance: float = TOLERANCE) -> Trajectory:
+def run(case: Case, view: str = "as drawn", tolerance: float = TOLERANCE) -> sf.Trajectory:
     """Return the motion of a case, or of its mirror image, or turned by 90 degrees."""
     vehicle = mirrored(case.vehicle) if view == "mirrored" else case.vehicle
     heading = {"as drawn": 1, "mirrored": -1, "turned": 1}[view] * case.heading
     heading += np.pi / 2 * (view == "turned")
-    model = dynamics(vehicle, case.ground.terrain(view))
-    start = settle(model, x=0.0, y=0.0, heading=heading, speed=case.speed)
+    model = sf.dynamics(vehicle, case.ground.terrain(view))
+    start = sf.settle(model, x=0.0, y=0.0, heading=heading, speed=case.speed)
     inputs = model.inputs(**case.inputs)
-    return simulate(model, start, inputs, case.t, options=SolverOptions(tolerance))
+    return sf.simulate(model, start, inputs, case.t, options=sf.SolverOptions(tolerance))
 
 
 def difference(case: Case, view: str) -> float:
@@ -205,20 +202,20 @@ class Ending(NamedTuple):
     ledger: float = 0.0
 
 
-def ending(case: Case, run: Callable[[Any], Trajectory] = run) -> Ending:
+def ending(case: Case, run: Callable[[Any], sf.Trajectory] = run) -> Ending:
     """Return how the run of a case ends."""
     try:
         motion = run(case)
-    except SolverError as error:
+    except sf.SolverError as error:
         return Ending("failure", str(error), ledger(error.trajectory))
-    except SlipfreeError as error:
+    except sf.SlipfreeError as error:
         return Ending("refused", str(error))
     kind = "complete" if motion.stop is None else motion.outcome.name.lower()
     words = "" if motion.stop is None else f"{motion.stop.name}: {motion.stop.words}"
     return Ending(kind, words, ledger(motion))
 
 
-def ledger(motion: Trajectory, tolerance: float = TOLERANCE) -> float:
+def ledger(motion: sf.Trajectory, tolerance: float = TOLERANCE) -> float:
     """Return the largest error of the energy balance, over 100 x tolerance x energy.
 
     The energy is one joule, since the tolerance of the work is absolute too, and the largest of

@@ -6,11 +6,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+import slipfree as sf
 from helpers.random_dynamics import TOLERANCE, Case, Ending, Ground, drawn_ground
 from helpers.random_dynamics import ending as ending_of
-from slipfree import Compliant, SolverOptions, catalog, settle, simulate
-from slipfree.core.trajectory import Trajectory
-from slipfree.models.dynamics import dynamics
 from slipfree.vehicle.shapes import Box
 
 SHAPES = {  # edges and centre of the platforms; their lower faces are lowered
@@ -27,7 +25,7 @@ LOADED, UPRIGHT = 0.05, 0.5  # load of bodies [weight]; vertical component of th
 class Overturn(Case):
     """A random run of a vehicle whose bodies bear load; it may begin in the air."""
 
-    law: Compliant
+    law: sf.Compliant
     fall: dict[str, float]
 
 
@@ -35,7 +33,7 @@ def draw(index: int) -> Overturn:
     """Return the case of an index."""
     rng = np.random.default_rng([21, index])
     name, ground = str(rng.choice([*SHAPES])), GROUNDS[index % len(GROUNDS)]
-    vehicle = getattr(catalog, name)()
+    vehicle = getattr(sf.catalog, name)()
     radius = max(wheel.radius for wheel in vehicle.wheels)
     size, (x, y, z) = SHAPES[name]
     box = Box(size, (x, y, z - float(rng.uniform(0, 0.7)) * radius))
@@ -68,7 +66,7 @@ def draw(index: int) -> Overturn:
         float(rng.uniform(-0.15, 0.15)),
         inputs,
         np.linspace(0, float(np.clip(DISTANCE / speed, 1.5, 4.0)), 61),
-        Compliant(body_depth=float(rng.uniform(1e-3, 4e-3))),
+        sf.Compliant(body_depth=float(rng.uniform(1e-3, 4e-3))),
         fall,
     )
 
@@ -115,22 +113,22 @@ def drawn_obstacle(kind: str, radius: float, rng: Any) -> Ground:
     )
 
 
-def run(case: Overturn, tolerance: float = TOLERANCE) -> Trajectory:
+def run(case: Overturn, tolerance: float = TOLERANCE) -> sf.Trajectory:
     """Return the motion of a case."""
-    model = dynamics(case.vehicle, case.ground.terrain(), law=case.law)
+    model = sf.dynamics(case.vehicle, case.ground.terrain(), law=case.law)
     if case.fall:
-        start = settle(replace(model, standing=None), **case.fall)
+        start = sf.settle(replace(model, standing=None), **case.fall)
     else:
-        start = settle(model, x=0.0, y=0.0, heading=case.heading, speed=case.speed)
+        start = sf.settle(model, x=0.0, y=0.0, heading=case.heading, speed=case.speed)
     inputs = model.inputs(**case.inputs)
-    return simulate(model, start, inputs, case.t, options=SolverOptions(tolerance))
+    return sf.simulate(model, start, inputs, case.t, options=sf.SolverOptions(tolerance))
 
 
 def ending(case: Overturn) -> Ending:
     """Return how the run of a case ends, or on which side the vehicle then is."""
-    motions = list[Trajectory]()
+    motions = list[sf.Trajectory]()
 
-    def kept(case: Overturn) -> Trajectory:
+    def kept(case: Overturn) -> sf.Trajectory:
         motions.append(run(case))
         return motions[0]
 

@@ -13,8 +13,6 @@ from slipfree.catalog import open_source_rover, three_wheeler
 from slipfree.core.dae import power_of_length
 from slipfree.laws.protocols import SlipLaw
 from slipfree.models.given_rates import PLANAR
-from slipfree.models.inverse import inverse_kinematics
-from slipfree.models.montana import montana_kinematics
 from slipfree.solve.collocation import drive
 from slipfree.solve.settle import settle_contact
 from slipfree.vehicle.sections import Section
@@ -94,7 +92,7 @@ def to_the_edge(scale: float) -> sf.Trajectory:
 def montana(scale: float) -> sf.Trajectory:
     vehicle, ground = scaled(three_wheeler(), scale), bicubic(scale)
     start = sf.settle(sf.direct_kinematics(vehicle, ground), x=0.3 * scale, heading=0.2)
-    dae = montana_kinematics(vehicle, ground)
+    dae = sf.montana_kinematics(vehicle, ground)
     inputs = dae.inputs(**PAPER_RATES)
     return sf.simulate(
         dae, start, inputs, np.linspace(0, 6, 121), options=sf.SolverOptions(tolerance=TOLERANCE)
@@ -107,7 +105,7 @@ def inverse(scale: float, solve_for: str) -> sf.Trajectory:
     dae = sf.direct_kinematics(vehicle, ground, slip=sf.Rolling())
     inputs = dae.inputs(right_rate=0.45, left_rate=0.42, steer_rate=0.0)
     start = sf.simulate(dae, sf.settle(dae, heading=0.1), inputs, np.linspace(0, 0.1, 3))
-    back = inverse_kinematics(vehicle, ground, given=PLANAR, solve_for=solve_for)
+    back = sf.inverse_kinematics(vehicle, ground, given=PLANAR, solve_for=solve_for)
     given = back.inputs(velocity_x=0.01255 * scale, velocity_y=0.12865 * scale, heading_rate=0.0159)
     return sf.simulate(
         back, start, given, np.linspace(0, 4, 41), options=sf.SolverOptions(tolerance=TOLERANCE)
@@ -118,7 +116,7 @@ def path(scale: float, ground: Ground) -> sf.Trajectory:
     """Follow a circle by collocation."""
     vehicle, place = scaled(three_wheeler(), scale), ground(scale)
     dae = sf.direct_kinematics(vehicle, place)
-    back = inverse_kinematics(vehicle, place, given=PLANAR, solve_for="rates", least_margin=0.0)
+    back = sf.inverse_kinematics(vehicle, place, given=PLANAR, solve_for="rates", least_margin=0.0)
     start = sf.settle(dae, x=-scale, heading=1.0)
     heading, radius = 1.0 + 0.02 * back.t, 6.75 * scale
     x = -scale + radius * (ca.cos(heading) - np.cos(1.0))
@@ -133,7 +131,7 @@ def path(scale: float, ground: Ground) -> sf.Trajectory:
 
 def rover(scale: float) -> sf.Trajectory:
     """Drive a rover with six wheels, four steered, at given forward speed and yaw rate."""
-    dae = inverse_kinematics(
+    dae = sf.inverse_kinematics(
         scaled(open_source_rover(), scale), bicubic(scale), given=("forward", "yaw_rate")
     )
     start = sf.settle(dae, heading=0.1)

@@ -11,12 +11,10 @@ from scipy.optimize import linprog
 
 import slipfree as sf
 from helpers.commands import refuses
-from slipfree.atlas.atlas import atlas
 from slipfree.core.records import leaves
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.shapes import Ball, Box
-from slipfree.vehicle.tree import Body
 
 PLACES = np.array([-1.5, 0.0, 0.7, 1.6])
 HEADINGS = (0.0, 0.8, 2.5)
@@ -39,7 +37,7 @@ def test_poses_and_bounds_equal_those_of_single_poses(vehicle):
     """Each pose is that of settle, and its least friction that of the exact optimum."""
     ground = hills()
     model = sf.direct_kinematics(vehicle, ground)
-    found = atlas(model, headings=HEADINGS, x=PLACES, y=PLACES, compiled=False)
+    found = sf.atlas(model, headings=HEADINGS, x=PLACES, y=PLACES, compiled=False)
     assert found.stands.mean() > 0.7
     compared = np.argwhere(found.stands)[::5]
     for k, i, j in compared:
@@ -62,7 +60,7 @@ def test_friction_that_differs_between_wheels_scales_the_bounds():
     rows = 0.3 + 0.5 * (grid.x > 0.5)[:, None] * np.ones(grid.y.size)
     ground = sf.Bicubic(grid, mu=sf.Grid(grid.x, grid.y, rows))
     model = sf.direct_kinematics(vehicle, ground)
-    found = atlas(model, headings=[0.3], x=[0.4], y=PLACES, compiled=False)
+    found = sf.atlas(model, headings=[0.3], x=[0.4], y=PLACES, compiled=False)
     assert found.stands[0, 0].all()
     for j in range(PLACES.size):
         pose = sf.settle(model, x=0.4, y=PLACES[j], heading=0.3)
@@ -87,7 +85,7 @@ def test_computed_extremes_on_level_ground_are_those_of_the_contact_heights():
     ball = Ball(0.05, (0.2, 0.3, 0.0))
     vehicle = replace(vehicle, body=replace(vehicle.body, shapes=(ball,)))
     model = sf.direct_kinematics(vehicle, level_ground())
-    found = atlas(model, headings=[0.4], x=[0.1], y=[-0.05], error=error, compiled=False)
+    found = sf.atlas(model, headings=[0.4], x=[0.1], y=[-0.05], error=error, compiled=False)
     pose = sf.settle(model, x=0.1, y=-0.05, heading=0.4)
     turned = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
     spot = [0.1, -0.05] + turned @ ball.at[:2]
@@ -113,7 +111,7 @@ def test_computed_extremes_of_a_rigid_vehicle_are_those_of_a_plane_on_springs():
     of half the track, half a percent.
     """
     model, error = sf.direct_kinematics(sf.catalog.rigid_skid_steer(), level_ground()), 0.02
-    found = atlas(model, headings=[0.0], x=[0.1], y=[-0.05], error=error, compiled=False)
+    found = sf.atlas(model, headings=[0.0], x=[0.1], y=[-0.05], error=error, compiled=False)
     pose = sf.settle(model, x=0.1, y=-0.05)
     offsets = np.stack([pose[f"contact_{c}"][0] for c in "xy"]) - np.array([[0.1], [-0.05]])
     slopes = np.linalg.pinv(np.vstack([np.ones(4), offsets]).T)[1:]
@@ -131,7 +129,7 @@ def test_reasons_name_the_border_steep_ground_and_the_share_of_headings():
     steep = np.where(axis > 1.0, 1.6 * (axis - 1.0), 0.0)[:, None] + np.zeros(axis.size)
     ground = sf.Bicubic(sf.Grid(axis, axis, steep), mu=0.5)
     model = sf.direct_kinematics(sf.catalog.three_wheeler(), ground)
-    found = atlas(model, headings=4, y=[0.0], compiled=False)
+    found = sf.atlas(model, headings=4, y=[0.0], compiled=False)
     reasons = [found.reasons[int(k)] for k in found["reason"][:, :, 0].ravel()]
     assert any("leaves the map" in words for words in reasons)
     assert "the vehicle stands" in reasons
@@ -151,7 +149,7 @@ def test_a_rigid_vehicle_is_held_by_its_own_loads():
     """Bounds for given loads enclose a linear programme; poses are those of settle."""
     ground, vehicle = hills(rms=0.1), sf.catalog.rigid_skid_steer()
     model = sf.direct_kinematics(vehicle, ground)
-    found = atlas(model, headings=[0.4], x=PLACES, y=PLACES, compiled=False)
+    found = sf.atlas(model, headings=[0.4], x=PLACES, y=PLACES, compiled=False)
     compared = np.argwhere(found.stands & (found["rests"] == 1))[::6]
     assert len(compared) >= 3
     for at in compared:
@@ -189,7 +187,7 @@ def test_a_rigid_vehicle_rocks_on_twisted_ground(twist, rests):
     axis = np.linspace(-3.0, 3.0, 31)
     ground = sf.Bicubic(sf.Grid(axis, axis, twist * axis[:, None] * axis), mu=0.5)
     model = sf.direct_kinematics(sf.catalog.rigid_skid_steer(), ground)
-    found = atlas(model, headings=[0.0, np.pi / 2], x=[0.0], y=[0.0], compiled=False)
+    found = sf.atlas(model, headings=[0.0, np.pi / 2], x=[0.0], y=[0.0], compiled=False)
     assert (found["rests"] == rests).all()
     assert (np.hypot(found["roll"], found["pitch"]) > 0.03).all() == (rests == 2)
 
@@ -202,7 +200,7 @@ def test_energy_slip_and_sinkage_are_those_of_the_motion(on_soil):
     if on_soil:
         model = sf.quasi_statics(vehicles.three_wheeler(axle="fixed"), ground, law=sf.Soil())
     inputs = {label.full: 1.0 * ("steer" not in label.full) for label in leaves(model.labels.u)}
-    found = atlas(model, headings=[0.4], x=[0.0], y=[0.6], inputs=inputs, compiled=False)
+    found = sf.atlas(model, headings=[0.4], x=[0.0], y=[0.6], inputs=inputs, compiled=False)
     run = sf.settle(model, x=0.0, y=0.6, heading=0.4)
     run = sf.simulate(model, run, model.inputs(**inputs), [0.0, 0.01])
     energy = run["power"][0] / np.hypot(run["velocity_x"][0], run["velocity_y"][0])
@@ -214,11 +212,11 @@ def test_energy_slip_and_sinkage_are_those_of_the_motion(on_soil):
 @pytest.mark.parametrize("height", [-0.1, 0.4], ids=("low", "high"))
 def test_the_clearance_of_bodies_is_that_of_single_poses(height):
     """A box keeps the distance that settle reports, near the ground and far from it."""
-    box = Body(10.0, shapes=(Box((0.5, 0.8, 0.1), (0.0, 0.0, height)),))
+    box = sf.Body(10.0, shapes=(Box((0.5, 0.8, 0.1), (0.0, 0.0, height)),))
     vehicle = replace(sf.catalog.rigid_skid_steer(), body=box)
     ground = hills(rms=0.05)
     model = sf.direct_kinematics(vehicle, ground)
-    found = atlas(model, headings=[0.2], x=PLACES, y=[0.3], compiled=False)
+    found = sf.atlas(model, headings=[0.2], x=PLACES, y=[0.3], compiled=False)
     assert found.stands.all()
     for i in range(PLACES.size):
         pose = sf.settle(model, x=PLACES[i], y=0.3, heading=0.2)
@@ -236,7 +234,7 @@ def test_the_clearance_of_bodies_is_that_of_single_poses(height):
 def test_wrong_arguments_are_named(arguments, message):
     ground = hills()
     model = sf.direct_kinematics(sf.catalog.three_wheeler(), ground)
-    refuses(sf.ModelError, message, atlas, model, compiled=False, **arguments)
+    refuses(sf.ModelError, message, sf.atlas, model, compiled=False, **arguments)
 
 
 def test_a_pose_does_not_depend_on_others():
@@ -244,7 +242,7 @@ def test_a_pose_does_not_depend_on_others():
     ground = hills()
     model = sf.direct_kinematics(sf.catalog.three_wheeler(), ground)
     common = {"x": [0.7], "y": [0.0], "error": 0.02, "compiled": False}
-    alone = atlas(model, headings=[0.8], **common)
-    beside = atlas(model, headings=[0.0, 0.8, 2.0], **common)
+    alone = sf.atlas(model, headings=[0.8], **common)
+    beside = sf.atlas(model, headings=[0.0, 0.8, 2.0], **common)
     for name in alone.bands:
         assert_allclose(beside[name][1], alone[name][0], rtol=1e-6, err_msg=name)

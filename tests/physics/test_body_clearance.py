@@ -27,12 +27,8 @@ from slipfree.catalog import rigid_skid_steer, rocky7, skid_steer, three_wheeler
 from slipfree.contact.nearest_points import NearestPoints
 from slipfree.core.lookups import evaluate
 from slipfree.core.records import leaves
-from slipfree.laws.soil import Soil
-from slipfree.plan.plan import plan
 from slipfree.plan.problem import costs_of
-from slipfree.plan.transcription import Mesh
-from slipfree.problem.load import find_motion_verb, load_problem
-from slipfree.problem.result import run_problem
+from slipfree.problem.load import find_motion_verb
 from slipfree.routing.traversability import blocking_reasons, traversability
 from slipfree.terrain.solids import placed, step
 from slipfree.vehicle.shapes import Ball, Box, Hull
@@ -284,7 +280,7 @@ def test_a_plan_drives_around_the_ridge():
     blind = replace(model, checks=())
     guess = sf.simulate(blind, start, blind.inputs(**straight), t)
     for limits, least in (({}, 0.0), ({"clearance_body": (0.02, np.inf)}, 0.02)):
-        found = plan(
+        found = sf.plan(
             model,
             start,
             guess,
@@ -294,7 +290,7 @@ def test_a_plan_drives_around_the_ridge():
             smooth=0.002,
             inputs=dict.fromkeys(names, (-4.0, 4.0)),
             limits=limits,
-            mesh=Mesh(20),
+            mesh=sf.Mesh(20),
         )
         assert found.accurate
         assert found.replay.stop is None
@@ -440,7 +436,7 @@ def test_a_roll_over_ends_on_the_roof():
 
 def test_without_a_depth_the_motion_ends_at_a_touch():
     box = Box((0.4, 0.5, 0.4), at=(0, 0.35, 0))
-    for law in (sf.Compliant(), Soil()):
+    for law in (sf.Compliant(), sf.Soil()):
         model = sf.dynamics(car(box), FLAT, law=law)
         assert [check.label.name for check in model.checks][-1] == "clearance_body"
         assert not model.labels.y.body_load
@@ -463,8 +459,8 @@ def test_too_many_points_are_refused():
 
 
 def test_the_robot_of_the_shipped_problem_hangs_up():
-    problem = load_problem(PROBLEMS / "dynamics_hang_up.toml")
-    result = run_problem(problem)
+    problem = sf.load_problem(PROBLEMS / "dynamics_hang_up.toml")
+    result = sf.run_problem(problem)
     run = result.trajectory
     assert run.stop is None
     assert run["body_load"][-1] > 34 * 9.81 / 2

@@ -14,27 +14,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 from helpers.cases import PROBLEMS
 from helpers.commands import refuses
-from slipfree import (
-    Analytic,
-    ModelError,
-    SolverOptions,
-    direct_kinematics,
-    quasi_statics,
-    settle,
-    simulate,
-)
 from slipfree.catalog import three_wheeler
-from slipfree.control.path_following import follow, straight
-from slipfree.core.trajectory import Outcome
-from slipfree.geometry.path import Path
 from slipfree.models.friction_feasibility import best_utilisation
-from slipfree.plan.plan import Plan, plan
-from slipfree.plan.transcription import Mesh
+from slipfree.plan.plan import Plan
 from slipfree.plan.verification import simulate_plan
-from slipfree.problem.load import load_problem
-from slipfree.problem.result import run_problem
 
 pytestmark = pytest.mark.slow
 FILE = PROBLEMS / "plan_climb_ramp.toml"
@@ -56,18 +42,20 @@ def terraces(x, y):
     ) * ca.cos(1.9 * y)
 
 
-GROUND = Analytic(terraces, mu=MU)
+GROUND = sf.Analytic(terraces, mu=MU)
 
 
 @cache
-def model(of=direct_kinematics):
+def model(of=sf.direct_kinematics):
     return of(VEHICLE, GROUND)
 
 
 def bow(aside, start=START["y"], end=GOAL["y"]):
     """Return a way from start to goal that lies to the right in its middle."""
     part = np.linspace(0, 1, 13)
-    return Path(np.stack([aside * np.sin(np.pi * part) ** 2, start + (end - start) * part], axis=1))
+    return sf.Path(
+        np.stack([aside * np.sin(np.pi * part) ** 2, start + (end - start) * part], axis=1)
+    )
 
 
 class Task(NamedTuple):
@@ -82,12 +70,13 @@ class Task(NamedTuple):
 
 def planned(task, ways, **limits) -> Plan:
     dae = model()
-    start = settle(dae, **task.start)
+    start = sf.settle(dae, **task.start)
     t = np.linspace(0, task.duration, 61)
     guesses = [
-        simulate(dae, start, follow(dae, way, speed=way.length / task.duration), t) for way in ways
+        sf.simulate(dae, start, sf.follow(dae, way, speed=way.length / task.duration), t)
+        for way in ways
     ]
-    return plan(
+    return sf.plan(
         dae,
         start,
         guesses,
@@ -97,7 +86,7 @@ def planned(task, ways, **limits) -> Plan:
         smooth=0.02,
         limits={"utilisation": (0.0, MOST), "steer": (-STEER, STEER), **limits},
         inputs=RATES,
-        mesh=Mesh(task.intervals, degree=task.degree, accuracy=0.01),
+        mesh=sf.Mesh(task.intervals, degree=task.degree, accuracy=0.01),
     )
 
 
@@ -118,7 +107,7 @@ def length(run):
 
 
 def test_the_straight_way_needs_more_friction_than_there_is():
-    places = [settle(model(), x=0.0, y=y) for y in np.linspace(3.0, 6.0, 16)]
+    places = [sf.settle(model(), x=0.0, y=y) for y in np.linspace(3.0, 6.0, 16)]
     weighted = max(place["utilisation"].max() for place in places)
     best = max(best_utilisation(VEHICLE, GROUND, place)["utilisation_best"][0] for place in places)
     assert_allclose(best, 1.123, atol=2e-3)
@@ -126,15 +115,17 @@ def test_the_straight_way_needs_more_friction_than_there_is():
 
 
 def test_the_straight_way_ends_where_friction_does_not_hold():
-    dae = model(quasi_statics)
-    start = settle(dae, **START)
-    law = straight(dae, start, speed=0.5)
-    run = simulate(dae, start, law, np.linspace(0, DURATION, 121))
+    dae = model(sf.quasi_statics)
+    start = sf.settle(dae, **START)
+    law = sf.straight(dae, start, speed=0.5)
+    run = sf.simulate(dae, start, law, np.linspace(0, DURATION, 121))
     assert run.stop.name == "no_equilibrium"
     assert 8.0 < run.stop.t < DURATION
     assert "uphill on a slope of 17" in run.stop.words
     assert "the vehicle needs all the friction that the ground offers, 0.5" in run.stop.words
-    refuses(ModelError, r"a coefficient of friction of at least 0\.56", settle, dae, x=0.0, y=4.0)
+    refuses(
+        sf.ModelError, r"a coefficient of friction of at least 0\.56", sf.settle, dae, x=0.0, y=4.0
+    )
 
 
 def test_a_plan_that_must_go_straight_is_refused_by_name():
@@ -142,7 +133,7 @@ def test_a_plan_that_must_go_straight_is_refused_by_name():
     found = planned(task, [bow(0.0, 1.0, 5.0)], x=(-0.2, 0.2))
     assert not found.success
     assert found.run.stop.name == "plan"
-    assert found.run.outcome is Outcome.INFEASIBLE
+    assert found.run.outcome is sf.Outcome.INFEASIBLE
     words = found.run.stop.words
     given = words.partition("a motion was found with relaxed bounds")[2]
     assert "utilisation of wheel left: 1.1" in given
@@ -176,9 +167,9 @@ def test_the_simulation_of_the_plan_keeps_within_friction_and_reaches_the_goal()
 
 def test_friction_holds_the_vehicle_at_every_node_of_the_plan():
     """Standing there under Coulomb friction, it creeps by ``eps U / sqrt(1 - U^2)``."""
-    run, dae = climbed().run, model(quasi_statics)
+    run, dae = climbed().run, model(sf.quasi_statics)
     names = ("x", "y", "heading", "steer")
-    held = [settle(dae, **{name: run[name][k] for name in names}) for k in range(run.t.size)]
+    held = [sf.settle(dae, **{name: run[name][k] for name in names}) for k in range(run.t.size)]
     used = np.array([place["utilisation"][0] for place in held])
     slip = np.array([np.hypot(place["slip_along"], place["slip_across"])[0] for place in held])
     assert used.max() < 0.96
@@ -188,9 +179,13 @@ def test_friction_holds_the_vehicle_at_every_node_of_the_plan():
 
 def test_friction_carries_the_vehicle_to_the_goal():
     """Under its inputs; a rigid axle slips by far more than the creep on its way."""
-    dae = model(quasi_statics)
+    dae = model(sf.quasi_statics)
     run = simulate_plan(
-        dae, settle(dae, **START), climbed().motion, step=0.5, options=SolverOptions(tolerance=1e-7)
+        dae,
+        sf.settle(dae, **START),
+        climbed().motion,
+        step=0.5,
+        options=sf.SolverOptions(tolerance=1e-7),
     )
     assert run.stop is None
     assert np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]) < 0.2
@@ -198,8 +193,8 @@ def test_friction_carries_the_vehicle_to_the_goal():
 
 def test_the_file_plans_its_climb():
     way = "driver.paths=[[[0.0, -1.5], [2.0, 4.5], [0.0, 10.5]]]"
-    run = run_problem(
-        load_problem(
+    run = sf.run_problem(
+        sf.load_problem(
             FILE, [way, "plan.intervals=20", "plan.accuracy=0.05", "solver.tolerance=1e-6"]
         )
     ).trajectory

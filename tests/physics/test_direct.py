@@ -12,11 +12,9 @@ import slipfree as sf
 from helpers.cases import PAPER_RATES, case1, closure_model, drive, hills
 from slipfree.catalog import three_wheeler
 from slipfree.control.step_climbing import ControlLaw, controlled
-from slipfree.core.errors import ModelError
 from slipfree.core.rearrange import new_variable
 from slipfree.core.records import Label
 from slipfree.geometry.frame import Pose
-from slipfree.vehicle.tree import Motor, Torque
 
 MOTION = ("x", "y", "heading", "tilt_right", "tilt_left", "z", "roll", "pitch")
 PLACES = ("contact_x", "contact_y")
@@ -232,14 +230,14 @@ def test_the_tip_over_margin_of_a_planar_vehicle_is_that_of_its_ends():
 @pytest.mark.parametrize("model", [sf.direct_kinematics, sf.quasi_statics, sf.rigid_dynamics])
 def test_other_models_refuse_planar_vehicles(model):
     for vehicle in (sf.catalog.three_wheeler(), sf.catalog.rigid_skid_steer()):
-        with pytest.raises(ModelError, match="found one locked to a plane; use "):
+        with pytest.raises(sf.ModelError, match="found one locked to a plane; use "):
             model(sf.planar(vehicle), WAVES)
 
 
 def test_a_controller_of_torques_equals_the_motors_of_a_vehicle():
     """PI control of the rates: as states of a controller, and as drives of the wheels."""
-    motors = sf.dynamics(driven(Motor(stall=1e6, no_load=1e6, kp=3.0, ki=20.0)), FLAT)
-    model = sf.dynamics(driven(Torque()), FLAT)
+    motors = sf.dynamics(driven(sf.Motor(stall=1e6, no_load=1e6, kp=3.0, ki=20.0)), FLAT)
+    model = sf.dynamics(driven(sf.Torque()), FLAT)
     names = [wheel.name for wheel in sf.catalog.rigid_skid_steer().wheels]
     sums = [new_variable(model, Label(f"sum_{name}", "N m", "integral")) for name in names]
     wanted = new_variable(model, Label("wanted", "rad s-1", "wanted rate"))
@@ -265,6 +263,6 @@ FLAT = sf.Analytic(lambda x, _y: 0 * x, mu=0.8)
 
 
 def test_a_controller_has_a_law_for_every_input():
-    model = sf.dynamics(driven(Torque()), FLAT)
-    with pytest.raises(ModelError, match="expected 4 laws, one per input of the model, found 0"):
+    model = sf.dynamics(driven(sf.Torque()), FLAT)
+    with pytest.raises(sf.ModelError, match="expected 4 laws, one per input of the model, found 0"):
         controlled(model, ControlLaw((), (), (), ()))

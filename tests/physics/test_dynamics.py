@@ -12,45 +12,34 @@ import slipfree as sf
 from helpers.dynamics import FLAT, center_height, energy_error, four_wheels, moved, slope, states
 from helpers.rounding import root
 from slipfree.geometry.frame import Pose, rotation_of
-from slipfree.geometry.path import Path
-from slipfree.laws.compliant import Compliant
-from slipfree.laws.coulomb import Coulomb
 from slipfree.models.multibody import Speeds, mass_matrix, multibody
 from slipfree.solve.settle import stable_poses
 from slipfree.vehicle.sections import Disc, Sphere, Torus
 from slipfree.vehicle.shapes import Box, Hull
-from slipfree.vehicle.tree import (
-    EARTH_GRAVITY,
-    RATE,
-    Body,
-    Coordinate,
-    Joint,
-    Motor,
-    Torque,
-    Vehicle,
-    Wheel,
-)
+from slipfree.vehicle.tree import EARTH_GRAVITY, RATE
 
-LIGHT = Body(1e-9, inertia=(1e-9, 1e-9, 1e-9, 0, 0, 0))
+LIGHT = sf.Body(1e-9, inertia=(1e-9, 1e-9, 1e-9, 0, 0, 0))
 
 
 def lone_wheel(section, mass=2.0, inertia=None, **more):
     """Return a single free wheel."""
-    wheel = Wheel("w", "platform", (0, 0, 0), section, driven=False, mass=mass, inertia=inertia)
-    return Vehicle("wheel", (), (), (replace(wheel, **more),), LIGHT)
+    wheel = sf.Wheel("w", "platform", (0, 0, 0), section, driven=False, mass=mass, inertia=inertia)
+    return sf.Vehicle("wheel", (), (), (replace(wheel, **more),), LIGHT)
 
 
 def pendulum():
     """Return two bodies on a platform with joints about skew axes, and one wheel."""
-    coordinates = tuple(Coordinate(name, "passive", f"coordinate {name}") for name in "abc")
-    first = Body(1.0, (0.0, 0.3, -0.1), (0.02, 0.03, 0.04, 0.001, 0.002, -0.003))
+    coordinates = tuple(sf.Coordinate(name, "passive", f"coordinate {name}") for name in "abc")
+    first = sf.Body(1.0, (0.0, 0.3, -0.1), (0.02, 0.03, 0.04, 0.001, 0.002, -0.003))
     joints = (
-        Joint("A", "platform", "x", (0, 0, 0), "a", body=first),
-        Joint("B", "A", (0.3, 1, 0.2), (0, 0.5, 0), "b - 0.3*a", body=Body(0.7, (0.1, 0, -0.4))),
-        Joint("C", "B", "z", (0.1, 0.2, 0), "c + 0.1*c**2", "slide", Body(0.3, (0, 0, 0.1))),
+        sf.Joint("A", "platform", "x", (0, 0, 0), "a", body=first),
+        sf.Joint(
+            "B", "A", (0.3, 1, 0.2), (0, 0.5, 0), "b - 0.3*a", body=sf.Body(0.7, (0.1, 0, -0.4))
+        ),
+        sf.Joint("C", "B", "z", (0.1, 0.2, 0), "c + 0.1*c**2", "slide", sf.Body(0.3, (0, 0, 0.1))),
     )
-    wheel = Wheel("w", "C", (0.1, 0, 0.2), Torus(0.03, 0.12), driven=False, mass=0.5)
-    return Vehicle("pendulum", coordinates, joints, (wheel,), Body(1.0))
+    wheel = sf.Wheel("w", "C", (0.1, 0, 0.2), Torus(0.03, 0.12), driven=False, mass=0.5)
+    return sf.Vehicle("pendulum", coordinates, joints, (wheel,), sf.Body(1.0))
 
 
 def test_a_tumbling_vehicle_keeps_its_energy_and_falls_freely():
@@ -93,7 +82,7 @@ def test_a_wheel_rolls_down_with_the_acceleration_of_the_closed_form(section, in
     expected = EARTH_GRAVITY * np.sin(angle) / (1 + axial / (2 * radius**2))
     errors = []
     for creep in (1e-2, 1e-3):
-        model = sf.dynamics(vehicle, slope(15), law=Compliant(creep=creep))
+        model = sf.dynamics(vehicle, slope(15), law=sf.Compliant(creep=creep))
         depth = radius / 50 * np.cos(angle)  # one wheel: no exact closure
         start = states(model, z=(radius - depth) / np.cos(angle))
         run = moved(model, start, np.linspace(0, 2, 3))
@@ -119,7 +108,7 @@ def test_a_leaning_wheel_rolls_on_a_circle(lean, rho, section):
     omega = np.sqrt(mass * EARTH_GRAVITY * r2 * np.sin(b) / swing)
     depth = 1e-5
     vehicle = lone_wheel(section, mass, (axial, across), static_depth=depth)
-    model = sf.dynamics(vehicle, replace(FLAT, mu=1.0), law=Compliant(creep=1e-4))
+    model = sf.dynamics(vehicle, replace(FLAT, mu=1.0), law=sf.Compliant(creep=1e-4))
     start = states(
         model,
         x=rho,
@@ -139,7 +128,7 @@ def test_a_leaning_wheel_rolls_on_a_circle(lean, rho, section):
 
 def test_locked_wheels_stop_a_car_in_the_distance_of_coulomb_friction():
     model = sf.dynamics(
-        four_wheels(static_depth=1e-4), replace(FLAT, mu=0.5), law=Compliant(creep=1e-4)
+        four_wheels(static_depth=1e-4), replace(FLAT, mu=0.5), law=sf.Compliant(creep=1e-4)
     )
     zero = dict.fromkeys(model.input_names, 0 * model.t)  # inputs may be expressions
     run = moved(model, sf.settle(model, speed=4.0), np.linspace(0, 2, 5), **zero)
@@ -165,7 +154,7 @@ def test_a_braking_car_pitches_as_its_springs_yield():
 @pytest.mark.slow
 def test_an_ideal_rate_equals_a_stiff_controller_in_a_fast_turn():
     loads, yaw_rates = [], []
-    for drive in ({}, {"drive": Motor(stall=1e6, no_load=1e6, kp=1e4)}):
+    for drive in ({}, {"drive": sf.Motor(stall=1e6, no_load=1e6, kp=1e4)}):
         vehicle = four_wheels(inertia=(0.08, 0.04), static_depth=1e-4, **drive)
         model = sf.dynamics(vehicle, replace(FLAT, mu=1.2))
         rates = {
@@ -184,7 +173,7 @@ def test_an_ideal_rate_equals_a_stiff_controller_in_a_fast_turn():
 def test_a_lone_ridge_after_a_steady_drive_is_not_passed_over():
     """In steady motion steps would grow until one covers the whole ridge, with an error of 18 J."""
     crest, vehicle = 6.0, sf.catalog.rigid_skid_steer()
-    vehicle = replace(vehicle, wheels=tuple(replace(w, drive=Torque()) for w in vehicle.wheels))
+    vehicle = replace(vehicle, wheels=tuple(replace(w, drive=sf.Torque()) for w in vehicle.wheels))
     ground = sf.Analytic(lambda x, y: 0.02 * ca.exp(-(((y - crest) / 0.1) ** 2)) + 0 * x, mu=0.8)
     model = sf.dynamics(vehicle, ground)
     inputs = model.inputs(**{label.full: 0.5 for label in model.labels.u.wheels})
@@ -211,7 +200,7 @@ def test_a_jacobian_without_inertial_terms_changes_neither_motion_nor_cost():
 
 @pytest.mark.slow
 def test_the_energy_ledger_contains_rotors_and_springs():
-    motor = Motor(stall=8.0, no_load=40.0, kp=5.0, ki=20.0, rotor_inertia=0.05)
+    motor = sf.Motor(stall=8.0, no_load=40.0, kp=5.0, ki=20.0, rotor_inertia=0.05)
     waves = sf.Analytic(lambda x, y: 0.02 * ca.sin(5 * y) * ca.cos(4 * x), mu=0.8)
     model = sf.dynamics(four_wheels(spring=4000.0, drive=motor), waves)
     rates = {label.full: 10.0 for label in model.labels.u.wheels}
@@ -262,7 +251,7 @@ def test_the_stable_poses_of_a_rigid_vehicle_are_found():
 
 
 def test_a_motor_stalls_at_its_torque_and_recovers():
-    motor = Motor(stall=2.0, no_load=20.0, kp=5.0, ki=20.0, rotor_inertia=0.01)
+    motor = sf.Motor(stall=2.0, no_load=20.0, kp=5.0, ki=20.0, rotor_inertia=0.01)
     model = sf.dynamics(four_wheels(drive=motor, static_depth=1e-4), FLAT)
     rates = {label.full: 5.0 for label in model.labels.u.wheels}
     run = moved(model, sf.settle(model), np.linspace(0, 8, 81), 1e-7, **rates)
@@ -352,8 +341,8 @@ def test_the_difference_from_quasi_statics_is_of_second_order_in_the_speed():
     """About 0.025 m over 1 m at 0.8 m/s, besides what the depth of the wheels shifts it by."""
     vehicle, apart = sf.catalog.skid_steer(), []
     for speed in (0.8, 0.4, 0.2):
-        still = sf.quasi_statics(vehicle, HILLS, law=Coulomb(creep=0.01 * speed))
-        moving = sf.dynamics(vehicle, HILLS, law=Compliant(creep=0.01 * speed))
+        still = sf.quasi_statics(vehicle, HILLS, law=sf.Coulomb(creep=0.01 * speed))
+        moving = sf.dynamics(vehicle, HILLS, law=sf.Compliant(creep=0.01 * speed))
         apart.append(turned(moving, speed) - turned(still, speed))
     assert 0.02 < np.linalg.norm(apart[0]) < 0.03
     fast, slow = np.linalg.norm(np.diff(apart, axis=0), axis=1)
@@ -388,7 +377,7 @@ def test_one_wheel_on_ice_spins_up():
             0.7 - 0.17 * (1 + ca.tanh((x - 0.1) / 0.02)) * (1 + ca.tanh((y - 0.4) / 0.02))
         ),
     )
-    model = sf.dynamics(four_wheels(drive=Torque(), static_depth=1e-4), patch)
+    model = sf.dynamics(four_wheels(drive=sf.Torque(), static_depth=1e-4), patch)
     torques = {label.full: 2.8 for label in model.labels.u.wheels}
     run = moved(model, sf.settle(model), np.linspace(0, 1, 101), 1e-7, **torques)
     spin, axial = run["wheel_rate", "w0"], 0.5 * 2.0 * 0.15**2
@@ -402,26 +391,26 @@ def test_one_wheel_on_ice_spins_up():
 
 # Drives of commanded coordinates in dynamics: closed forms, energy, motors, errors
 
-MOTOR = Motor(stall=6.0, no_load=4.0, kp=40.0, ki=80.0, rotor_inertia=0.3)
-CENTERED = Body(3.0, inertia=(0.2, 0.3, 0.4, 0.0, 0.0, 0.0))
+MOTOR = sf.Motor(stall=6.0, no_load=4.0, kp=40.0, ki=80.0, rotor_inertia=0.3)
+CENTERED = sf.Body(3.0, inertia=(0.2, 0.3, 0.4, 0.0, 0.0, 0.0))
 
 
 def two_bodies(motion, drive):
     """Return a platform with wheel and an arm, with all centres of mass on the arm's axis."""
-    arm = Coordinate("arm", "commanded", "arm", drive=drive)
-    joint = Joint("boom", "platform", "z", (0, 0, 0.3), "arm", motion, CENTERED)
-    wheel = Wheel(
+    arm = sf.Coordinate("arm", "commanded", "arm", drive=drive)
+    joint = sf.Joint("boom", "platform", "z", (0, 0, 0.3), "arm", motion, CENTERED)
+    wheel = sf.Wheel(
         "w", "platform", (0, 0, -0.2), Torus(0.03, 0.12), driven=False, mass=2.0, inertia=(0.1, 0.1)
     )
-    body = Body(5.0, inertia=(0.5, 0.6, 0.7, 0.0, 0.0, 0.0))
-    return Vehicle("two bodies", (arm,), (joint,), (wheel,), body)
+    body = sf.Body(5.0, inertia=(0.5, 0.6, 0.7, 0.0, 0.0, 0.0))
+    return sf.Vehicle("two bodies", (arm,), (joint,), (wheel,), body)
 
 
 def with_arm(drive, axis="x", **more):
     """Return a car with an arm of 4 kg."""
-    arm = Coordinate("arm", "commanded", "arm", drive=drive, **more)
-    body = Body(4.0, (0.0, 0.3, 0.05), (0.03, 0.01, 0.03, 0.0, 0.0, 0.0))
-    joint = Joint("boom", "platform", axis, (0.0, 0.35, 0.3), "arm", body=body)
+    arm = sf.Coordinate("arm", "commanded", "arm", drive=drive, **more)
+    body = sf.Body(4.0, (0.0, 0.3, 0.05), (0.03, 0.01, 0.03, 0.0, 0.0, 0.0))
+    joint = sf.Joint("boom", "platform", axis, (0.0, 0.35, 0.3), "arm", body=body)
     return replace(four_wheels(), coordinates=(arm,), joints=(joint,))
 
 
@@ -435,7 +424,7 @@ def test_an_effort_accelerates_two_bodies_in_free_fall(motion):
     """Relative motion has the reduced inertia, whatever the attitude and gravity."""
     first, second = (0.4, 0.7 + 0.1) if motion == "turn" else (3.0, 5.0 + 2.0)
     name = "arm_torque" if motion == "turn" else "arm_force"
-    model = replace(sf.dynamics(two_bodies(motion, Torque()), FLAT), limits=(), checks=())
+    model = replace(sf.dynamics(two_bodies(motion, sf.Torque()), FLAT), limits=(), checks=())
     label = model.labels.u.joints[0]
     assert (label.full, label.unit) == (name, "N m" if motion == "turn" else "N")
     t = np.linspace(0, 1, 6)
@@ -449,7 +438,7 @@ def test_an_effort_accelerates_two_bodies_in_free_fall(motion):
 @pytest.mark.parametrize("motion", ["turn", "slide"])
 def test_a_motor_at_its_limit_approaches_its_no_load_rate(motion):
     first, second = (0.4, 0.7 + 0.1) if motion == "turn" else (3.0, 5.0 + 2.0)
-    motor = Motor(stall=0.8, no_load=2.0, kp=1e3, rotor_inertia=0.25)
+    motor = sf.Motor(stall=0.8, no_load=2.0, kp=1e3, rotor_inertia=0.25)
     model = replace(sf.dynamics(two_bodies(motion, motor), FLAT), limits=(), checks=())
     t = np.linspace(0, 2, 11)
     run = moved(model, states(model, z=60.0), t, 1e-10, arm_rate=50.0)
@@ -462,7 +451,7 @@ def test_a_motor_at_its_limit_approaches_its_no_load_rate(motion):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drive", [Torque(), replace(MOTOR, stall=20.0)])
+@pytest.mark.parametrize("drive", [sf.Torque(), replace(MOTOR, stall=20.0)])
 def test_the_energy_balance_contains_drives_springs_and_dampers_of_joints(drive):
     loads = {"stiffness": 20.0, "rest": 0.2, "damping": 0.4, "upper": 0.1, "bump": 400.0}
     model = sf.dynamics(with_arm(drive, **loads), FLAT)
@@ -476,7 +465,7 @@ def test_the_energy_balance_contains_drives_springs_and_dampers_of_joints(drive)
 @pytest.mark.slow
 def test_a_prescribed_rate_equals_a_stiff_motor():
     """Of an arm with an eccentric mass, which a car swings to and fro."""
-    stiff, t = Motor(stall=1e6, no_load=1e6, kp=1e5), np.linspace(0, 2, 41)
+    stiff, t = sf.Motor(stall=1e6, no_load=1e6, kp=1e5), np.linspace(0, 2, 41)
     runs = []
     for drive in (RATE, stiff):
         model = sf.dynamics(with_arm(drive), FLAT)
@@ -509,11 +498,13 @@ def test_drives_that_do_not_fit_are_refused():
     with pytest.raises(
         sf.ModelError, match=r"since its rate is an input.*or use a drive with an eff"
     ):
-        Coordinate("c", "commanded", "c", stiffness=1.0)
+        sf.Coordinate("c", "commanded", "c", stiffness=1.0)
     vehicle = sf.catalog.ackermann()
-    free = (replace(c, drive=Torque()) if c.kind == "commanded" else c for c in vehicle.coordinates)
+    free = (
+        replace(c, drive=sf.Torque()) if c.kind == "commanded" else c for c in vehicle.coordinates
+    )
     model = sf.dynamics(replace(vehicle, coordinates=tuple(free)), FLAT)
-    path = Path(np.array([[0.0, 0.0], [0.0, 1.0]]))
+    path = sf.Path(np.array([[0.0, 0.0], [0.0, 1.0]]))
     with pytest.raises(sf.ModelError, match=r"commanded coordinates as inputs, found steer_torque"):
         sf.follow(model, path, speed=0.5)
 

@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import root
 
+import slipfree as sf
 from helpers.drives import (
     HILL,
     ROBOTS,
@@ -21,21 +22,6 @@ from helpers.drives import (
     log_of,
     model,
     unknowns,
-)
-from slipfree import (
-    Analytic,
-    Compliant,
-    Coulomb,
-    LeastSlip,
-    ModelError,
-    SolverOptions,
-    Vehicle,
-    catalog,
-    direct_kinematics,
-    dynamics,
-    quasi_statics,
-    settle,
-    simulate,
 )
 from slipfree.core.records import Array
 from slipfree.fit.drive_fit import (
@@ -68,10 +54,9 @@ from slipfree.fit.force_balance import (
     with_dimensions,
 )
 from slipfree.fit.force_balance import simulate as simulate_lanes
-from slipfree.terrain.base import Grid
 from slipfree.vehicle.tree import body_inertia, wheel_inertia
 
-LEVEL = Analytic(lambda x, _: 0 * x, mu=0.6)
+LEVEL = sf.Analytic(lambda x, _: 0 * x, mu=0.6)
 
 
 def constants(chassis: Chassis, **given: Any) -> Constants:
@@ -103,7 +88,7 @@ def steady_of(dae: Any, left: float, right: float) -> tuple[float, float]:
     """Return length of the chord [m] and turn [rad] of a model in one second."""
     names = [w.name for w in dae.vehicle.wheels]
     inputs = dae.inputs(**{f"{name}_rate": left if "left" in name else right for name in names})
-    run = simulate(dae, settle(dae), inputs, [0.0, 0.5, 1.0], options=SolverOptions(1e-9))
+    run = sf.simulate(dae, sf.settle(dae), inputs, [0.0, 0.5, 1.0], options=sf.SolverOptions(1e-9))
     chord = np.hypot(run["x"][-1] - run["x"][0], run["y"][-1] - run["y"][0])
     return float(chord), float(run["heading"][-1] - run["heading"][0])
 
@@ -114,12 +99,12 @@ def chord_and_turn(chassis: Chassis, **given: Any) -> tuple[float, float]:
     return float(np.hypot(ahead, left) * np.sin(turn / 2) / (turn / 2)), turn
 
 
-def low_vehicle(wheels: dict[str, tuple[float, float]]) -> tuple[Vehicle, complex]:
+def low_vehicle(wheels: dict[str, tuple[float, float]]) -> tuple[sf.Vehicle, complex]:
     """Return a rigid vehicle with the centre of mass at the ground, and that centre.
 
     Forces at the ground do not change its loads.
     """
-    vehicle = catalog.rigid_skid_steer()
+    vehicle = sf.catalog.rigid_skid_steer()
     first = vehicle.wheels[0]
     at = (0.02, 0.05, -first.radius)
     own = tuple(replace(first, name=name, at=(*xy, 0.0)) for name, xy in wheels.items())
@@ -130,7 +115,7 @@ def low_vehicle(wheels: dict[str, tuple[float, float]]) -> tuple[Vehicle, comple
 
 
 THREE = {"front_left": (-0.3, 0.3), "front_right": (0.3, 0.25), "rear_left": (-0.2, -0.3)}
-FOUR = {wheel.name: wheel.at[:2] for wheel in catalog.rigid_skid_steer().wheels}
+FOUR = {wheel.name: wheel.at[:2] for wheel in sf.catalog.rigid_skid_steer().wheels}
 
 
 @pytest.mark.parametrize("creep", [2.0, 0.3, 0.1, 0.01, 1e-3])
@@ -139,29 +124,29 @@ def test_without_inertia_it_is_quasi_static_friction(creep: float) -> None:
     vehicle, center = low_vehicle(THREE)
     chassis, radii = by_wheels(vehicle)
     found = chord_and_turn(chassis, center=center, stiffness=0.6 / creep, radius=radii)
-    stiff = Coulomb(1e-6, slip_stiffness=0.6 / creep)
-    for law in (stiff, Coulomb(creep)) if creep <= 0.3 else (stiff,):
-        exact = steady_of(quasi_statics(vehicle, LEVEL, law=law), 2.0, 4.0)
+    stiff = sf.Coulomb(1e-6, slip_stiffness=0.6 / creep)
+    for law in (stiff, sf.Coulomb(creep)) if creep <= 0.3 else (stiff,):
+        exact = steady_of(sf.quasi_statics(vehicle, LEVEL, law=law), 2.0, 4.0)
         assert_allclose(found, exact, rtol=1e-6)
 
 
 # forces at the ground load the rocker, the more the less wheels slip
 @pytest.mark.parametrize(("creep", "error"), [(0.3, 2e-3), (0.1, 4e-3)])
 def test_moments_of_forces_at_the_ground_change_little(creep: float, error: float) -> None:
-    vehicle = catalog.skid_steer(center_of_mass=(0.0, 0.05, 0.0))
+    vehicle = sf.catalog.skid_steer(center_of_mass=(0.0, 0.05, 0.0))
     chassis, radii = by_wheels(vehicle)
     masses = vehicle.body.mass + sum(wheel.mass for wheel in vehicle.wheels)
     center = 0.05 * vehicle.body.mass / masses + 0j
     found = chord_and_turn(chassis, center=center, stiffness=0.6 / creep, radius=radii)
-    exact = steady_of(quasi_statics(vehicle, LEVEL, law=Coulomb(creep)), 2.0, 4.0)
+    exact = steady_of(sf.quasi_statics(vehicle, LEVEL, law=sf.Coulomb(creep)), 2.0, 4.0)
     assert_allclose(found, exact, rtol=error)
 
 
-@pytest.mark.parametrize("vehicle", [catalog.skid_steer(), catalog.rigid_skid_steer()])
-def test_viscous_slip_without_inertia_is_least_slip(vehicle: Vehicle) -> None:
+@pytest.mark.parametrize("vehicle", [sf.catalog.skid_steer(), sf.catalog.rigid_skid_steer()])
+def test_viscous_slip_without_inertia_is_least_slip(vehicle: sf.Vehicle) -> None:
     chassis, radii = by_wheels(vehicle)
     found = chord_and_turn(chassis, stiffness=1e-3, friction=1.0, radius=radii)
-    exact = steady_of(direct_kinematics(vehicle, LEVEL, slip=LeastSlip()), 2.0, 4.0)
+    exact = steady_of(sf.direct_kinematics(vehicle, LEVEL, slip=sf.LeastSlip()), 2.0, 4.0)
     assert_allclose(found, exact, rtol=1e-6)
 
 
@@ -243,7 +228,10 @@ def test_it_follows_dynamics_with_compliant_contacts() -> None:
     )
     gyration = float((spin + masses @ squares) / masses.sum())
     given = {"radius": radii, "stiffness": 6.0, "gyration": gyration, "center": center}
-    dae, t = dynamics(vehicle, LEVEL, law=Compliant(slip_stiffness=6.0)), np.linspace(0, 2, 41)
+    dae, t = (
+        sf.dynamics(vehicle, LEVEL, law=sf.Compliant(slip_stiffness=6.0)),
+        np.linspace(0, 2, 41),
+    )
     for seed in range(20):
         size, speed = np.random.default_rng(seed).uniform(-1, 1, (2, 2))
         rates = [
@@ -251,7 +239,7 @@ def test_it_follows_dynamics_with_compliant_contacts() -> None:
             for a, b in zip(size, speed, strict=True)
         ]
         names = {f"{w.name}_rate": rates["right" in w.name] for w in vehicle.wheels}
-        run = simulate(dae, settle(dae, speed=3 * radii[0]), dae.inputs(**names), t)
+        run = sf.simulate(dae, sf.settle(dae, speed=3 * radii[0]), dae.inputs(**names), t)
         signals = 3 + 2 * size * np.sin((1.6 + 0.4 * speed) * t[:, None]) ** 2
         rows = np.arange(t.size)[:, None]
         moved = simulate_lanes(chassis, constants(chassis, **given), signals.T[:, None], rows, 0.05)
@@ -266,14 +254,14 @@ def test_it_follows_dynamics_with_compliant_contacts() -> None:
 
 def test_rollers_move_freely() -> None:
     """A mecanum vehicle moves sideways with least slip."""
-    vehicle = catalog.mecanum()
+    vehicle = sf.catalog.mecanum()
     radii = np.array([float(wheel.radius) for wheel in vehicle.wheels])
     chassis = chassis_of(vehicle, range(len(vehicle.wheels)), {})
     names = [wheel.name for wheel in vehicle.wheels]
-    dae = direct_kinematics(vehicle, LEVEL, slip=LeastSlip())
+    dae = sf.direct_kinematics(vehicle, LEVEL, slip=sf.LeastSlip())
     rates = dict(zip(names, (1.0, -1.0, -1.0, 1.0), strict=True))
-    run = simulate(
-        dae, settle(dae), dae.inputs(**{f"{k}_rate": v for k, v in rates.items()}), [0.0, 1.0]
+    run = sf.simulate(
+        dae, sf.settle(dae), dae.inputs(**{f"{k}_rate": v for k, v in rates.items()}), [0.0, 1.0]
     )
     given = {"stiffness": 100.0, "radius": radii}
     ahead, left, turn = steady(chassis, np.array([*rates.values()]), **given)
@@ -380,7 +368,7 @@ def test_slopes_are_those_under_the_predicted_path(has_headings: bool) -> None:
     assert np.median(np.abs(found.errors[:, :2])) < 0.02
     few = windows.take(np.arange(1))
     predict = Predictor(own, logs, few, slopes)
-    with pytest.raises(ModelError, match="more errors than the 4 unknowns, found 3"):
+    with pytest.raises(sf.ModelError, match="more errors than the 4 unknowns, found 3"):
         fit_drives(own, predict, few.log)
 
 
@@ -462,14 +450,14 @@ def test_windows_leave_out_bad_positions() -> None:
         assert piece[first] == piece[last]
     pieces = windows_of([log._replace(piece=np.arange(log.place.size) // 40)])
     assert_allclose(pieces.last - pieces.first, 39)
-    with pytest.raises(ModelError, match="found none; use longer logs or shorter windows"):
+    with pytest.raises(sf.ModelError, match="found none; use longer logs or shorter windows"):
         windows_of([log], length=1e4)
 
 
 def test_slopes_of_a_plane() -> None:
     """The sine of the angle ahead, and that of the wheels' axle."""
     axis = np.arange(-40.0, 41.0)
-    plane = Grid(axis, axis, 0.2 * axis[:, None] - 0.1 * axis)
+    plane = sf.Grid(axis, axis, 0.2 * axis[:, None] - 0.1 * axis)
     place, heading = np.array([3.3 - 7.1j, 60.0 + 2.0j]), np.array([0.4, 0.4])
     up, left = Slopes(plane, 1.5).tilt(place, heading)
     normal = np.array([-0.2, 0.1, 1]) / np.sqrt(1.05)
@@ -480,7 +468,7 @@ def test_slopes_of_a_plane() -> None:
 
 
 def test_dimensions_of_a_vehicle() -> None:
-    vehicle = catalog.skid_steer()
+    vehicle = sf.catalog.skid_steer()
     changed = with_dimensions(vehicle, {"front_left": 0.2}, 0.8, {1: 0.1}, 0.3)
     assert track(changed) == pytest.approx(0.8)
     radii = {wheel.name: wheel.radius for wheel in changed.wheels}
@@ -496,5 +484,5 @@ def test_dimensions_of_a_vehicle() -> None:
     spins += [body_inertia(changed, name)[2, 2] for name, body in changed.bodies if body.mass]
     squares = ((places - center)[:, :2] ** 2).sum(axis=1)
     assert (masses @ squares + sum(spins)) / masses.sum() == pytest.approx(0.3)
-    with pytest.raises(ModelError, match=r"moment of inertia over mass above 0\.\d+ m\^2"):
+    with pytest.raises(sf.ModelError, match=r"moment of inertia over mass above 0\.\d+ m\^2"):
         with_dimensions(vehicle, {}, gyration=0.01)

@@ -11,16 +11,11 @@ import slipfree as sf
 from helpers.dynamics import FLAT, four_wheels, moved, states
 from helpers.rasters import from_origin, geotiff
 from slipfree.climb.contact_path import least_friction
-from slipfree.models.rigid_dynamics import rigid_dynamics
-from slipfree.problem.load import load_problem
 from slipfree.problem.result import build
 from slipfree.terrain.solids import step
 from slipfree.vehicle.tree import (
     BODIES,
     EARTH_GRAVITY,
-    Body,
-    Coordinate,
-    Joint,
     foreign_map_words,
     gravity_of,
     gravity_words,
@@ -71,7 +66,7 @@ def test_a_map_of_another_body_with_the_gravity_of_the_earth_is_noted(tmp_path):
     )
     noted = {(): f"9.81 m/s^2 (earth){words}", ("gravity=moon",): "1.62 m/s^2 (moon)"}
     for settings, expected in noted.items():
-        facts = dict(build(load_problem(tmp_path / "p.toml", settings)).facts)
+        facts = dict(build(sf.load_problem(tmp_path / "p.toml", settings)).facts)
         assert facts["gravity"] == expected
 
 
@@ -178,9 +173,9 @@ def test_a_suspension_sags_with_gravity_and_keeps_its_frequency():
 def hanging(gravity):
     """Return a heavy car from which a bob hangs on a joint across it, 0.5 m long."""
     car = four_wheels(static_depth=1e-4, mass=1e5, driven=False)
-    body = Body(1.0, (0, 0, -0.5), (0.01, 0.01, 0.01, 0, 0, 0))
-    bob = Joint("rod", "platform", "x", (0, 0.35, 2.0), "swing", body=body)
-    swing = Coordinate("swing", "passive", "angle of the bob")
+    body = sf.Body(1.0, (0, 0, -0.5), (0.01, 0.01, 0.01, 0, 0, 0))
+    bob = sf.Joint("rod", "platform", "x", (0, 0.35, 2.0), "swing", body=body)
+    swing = sf.Coordinate("swing", "passive", "angle of the bob")
     return sf.in_gravity(replace(car, coordinates=(swing,), joints=(bob,)), gravity)
 
 
@@ -205,5 +200,5 @@ def test_a_pendulum_swings_and_a_vehicle_falls_as_the_closed_forms_say(body):
 
 
 def test_the_rigid_model_of_plans_bears_the_weight_in_any_gravity():
-    run = sf.settle(rigid_dynamics(sf.in_gravity(four_wheels(), MOON), FLAT))
+    run = sf.settle(sf.rigid_dynamics(sf.in_gravity(four_wheels(), MOON), FLAT))
     assert run["force_normal"].sum() == pytest.approx(48 * MOON, rel=1e-3)

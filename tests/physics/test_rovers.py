@@ -18,12 +18,7 @@ from slipfree.catalog import (
     seven_wheels,
     skid_steer,
 )
-from slipfree.control.path_following import follow
 from slipfree.core.records import leaves
-from slipfree.geometry.path import Path
-from slipfree.models.inverse import inverse_kinematics
-from slipfree.plan.plan import plan
-from slipfree.plan.transcription import Mesh
 from slipfree.terrain.rolled import rolled
 from slipfree.vehicle.tree import body_inertia
 
@@ -187,9 +182,9 @@ def test_a_caster_without_trail_is_named():
 @pytest.mark.parametrize("name", ["articulated", "open_source_rover"])
 def test_rovers_follow_paths(name):
     vehicle = CATALOG[name]
-    way = Path(np.array([(0.0, 0.0), (0.5, 2.0), (2.0, 4.0), (2.0, 7.0)]))
+    way = sf.Path(np.array([(0.0, 0.0), (0.5, 2.0), (2.0, 4.0), (2.0, 7.0)]))
     dae = closure_model(vehicle, HILLS)
-    start, law = sf.settle(dae, heading=-0.245), follow(dae, way, speed=0.2)
+    start, law = sf.settle(dae, heading=-0.245), sf.follow(dae, way, speed=0.2)
     run = sf.simulate(
         dae, start, law, np.linspace(0, 36, 73), options=sf.SolverOptions(tolerance=1e-6)
     )
@@ -241,7 +236,7 @@ def test_an_articulated_vehicle_is_planned_for():
     dae = closure_model(vehicle, HILLS)
     start, t, options = sf.settle(dae, heading=0.2), np.linspace(0, 5, 6), sf.SolverOptions(1e-6)
     guess = sf.simulate(dae, start, ahead(dae, vehicle, start), t, options=options)
-    found = plan(
+    found = sf.plan(
         dae,
         start,
         guess,
@@ -249,7 +244,7 @@ def test_an_articulated_vehicle_is_planned_for():
         costs={"slip": 100.0, "effort": 1e-3},
         duration=5.0,
         smooth=1e-3,
-        mesh=Mesh(4, degree=2, accuracy=1e-2),
+        mesh=sf.Mesh(4, degree=2, accuracy=1e-2),
     )
     assert found.success
     assert found.accurate
@@ -274,7 +269,7 @@ def test_seven_wheels_go_anywhere_on_level_ground():
         velocity = np.array([0.05 - 0.2 * y, 0.1 + 0.2 * x])
         forward = {"rear_across": (1, 0), "front_across": (-1, 0)}.get(wheel.name, (0, 1))
         rates[f"{wheel.name}_rate"] = velocity @ forward / wheel.radius
-    inverse = inverse_kinematics(vehicle, ground, given=tuple(given))
+    inverse = sf.inverse_kinematics(vehicle, ground, given=tuple(given))
     sought = sf.simulate(
         inverse, sf.settle(inverse), inverse.inputs(**given), np.array([0.0, 1e-6])
     )
@@ -287,7 +282,7 @@ def test_seven_wheels_go_anywhere_on_level_ground():
     assert_allclose(rest["force_normal"][0, across], 20.0, rtol=1e-9)
     assert rest["force_normal"].sum() == pytest.approx(21.6 * 9.81, rel=1e-9)
     with pytest.raises(sf.ModelError, match="'seven_wheels': expected the given rate 'right'"):
-        inverse_kinematics(vehicle, ground, given=("forward", "yaw_rate"))
+        sf.inverse_kinematics(vehicle, ground, given=("forward", "yaw_rate"))
     law = sf.straight(dae, rest, speed=0.2)
     run = sf.simulate(
         dae, rest, law, np.linspace(0, 5, 6), options=sf.SolverOptions(tolerance=1e-6)

@@ -27,11 +27,9 @@ from slipfree.core.lookups import LookupTable
 from slipfree.core.records import leaves
 from slipfree.models.base import Configuration, Dependent, VehicleState
 from slipfree.models.friction_feasibility import best_utilisation
-from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.limits import tip_over_margin
-from slipfree.models.montana import montana_kinematics
 from slipfree.vehicle.sections import Torus
-from slipfree.vehicle.tree import Body, Coordinate, Vehicle, Wheel, actuated
+from slipfree.vehicle.tree import actuated
 
 G = 9.81
 LA, LS, R1, R2 = 1.0, 1.5, 0.05, 0.25
@@ -141,7 +139,7 @@ def balance(vehicle, ground, run, k=0):
         chain[joint.name] = (*chain[joint.parent], joint.name)
         joints[joint.name] = axis, pivot, turns
     bodies = [("platform", vehicle.body), *((j.name, j.body) for j in vehicle.joints)]
-    bodies += [(wheel.parent, Body(wheel.mass, wheel.at)) for wheel in vehicle.wheels]
+    bodies += [(wheel.parent, sf.Body(wheel.mass, wheel.at)) for wheel in vehicle.wheels]
     frames, points, hubs = [], [], []
     for i, wheel in enumerate(vehicle.wheels):
         base, origin = parts[wheel.parent]
@@ -200,14 +198,14 @@ def loaded(*, stiffness=0.0, rest=0.0, damping=0.0):
     """Return a four-wheeler whose front axle rocks, with mass everywhere."""
     bare = four_wheels(rock=True)
     rock = replace(bare.coordinates[0], stiffness=stiffness, rest=rest, damping=damping)
-    axle = replace(bare.joints[0], body=Body(4.0, (0.02, 0.0, -0.03)))
-    knuckles = [replace(j, body=Body(0.5, (0.01, 0.02, 0.0))) for j in bare.joints[1:]]
+    axle = replace(bare.joints[0], body=sf.Body(4.0, (0.02, 0.0, -0.03)))
+    knuckles = [replace(j, body=sf.Body(0.5, (0.01, 0.02, 0.0))) for j in bare.joints[1:]]
     return replace(
         bare,
         coordinates=(rock, bare.coordinates[1]),
         joints=(axle, *knuckles),
         wheels=tuple(replace(w, mass=1.5, grip=0.8 + 0.1 * i) for i, w in enumerate(bare.wheels)),
-        body=Body(40.0, (0.03, 0.3, 0.1)),
+        body=sf.Body(40.0, (0.03, 0.3, 0.1)),
     )
 
 
@@ -215,9 +213,9 @@ def massless(vehicle):
     """Return the same vehicle without mass: it moves alike, but nothing ends its motion."""
     return replace(
         vehicle,
-        joints=tuple(replace(joint, body=Body()) for joint in vehicle.joints),
+        joints=tuple(replace(joint, body=sf.Body()) for joint in vehicle.joints),
         wheels=tuple(replace(wheel, mass=0.0) for wheel in vehicle.wheels),
-        body=Body(),
+        body=sf.Body(),
     )
 
 
@@ -350,10 +348,10 @@ def test_tip_over_margin_is_that_of_the_polygon_around_all_contacts(places, seed
     points = rng.permutation(np.vstack([places, heights]), axis=1)
     center = (*(points[:2].mean(axis=1) + 0.2 * rng.standard_normal(2)), 0.8)
     wheels = tuple(
-        Wheel(f"wheel_{k}", "platform", (*p, 0.0), Torus(R1, R2), driven=False)
+        sf.Wheel(f"wheel_{k}", "platform", (*p, 0.0), Torus(R1, R2), driven=False)
         for k, p in enumerate(points.T[:, :2])
     )
-    vehicle = Vehicle("rover", (), (), wheels, Body(10.0, center))
+    vehicle = sf.Vehicle("rover", (), (), wheels, sf.Body(10.0, center))
     contacts = [SimpleNamespace(point=ca.SX(point)) for point in points.T]
     zero = ca.SX(0)
     place = Configuration(zero, zero, zero, ()), Dependent(zero, zero, zero, (), ())
@@ -677,7 +675,7 @@ def test_a_lock_takes_out_springs():
 @pytest.mark.slow
 def test_montanas_form_bears_the_same():
     vehicle, t = three_wheeler(stiffness=20.0), np.linspace(0, 3, 7)
-    closure, other = closure_model(vehicle, HILLS), montana_kinematics(vehicle, HILLS)
+    closure, other = closure_model(vehicle, HILLS), sf.montana_kinematics(vehicle, HILLS)
     start = sf.settle(closure, heading=0.3, tilt_right=0.1, tilt_left=-0.05, steer=0.2)
     runs = [
         sf.simulate(
@@ -701,7 +699,7 @@ def test_the_inverse_model_bears_the_same():
     t, options = np.linspace(0, 4, 5), sf.SolverOptions(tolerance=1e-10)
     run = sf.simulate(direct, start, inputs, t, options=options)
     given = ("velocity_x", "velocity_y", "heading_rate")
-    dae = inverse_kinematics(VEHICLE, HILLS, given=given, solve_for="rates")
+    dae = sf.inverse_kinematics(VEHICLE, HILLS, given=given, solve_for="rates")
     for k in range(run.t.size):
         inputs = dae.inputs(**{name: run[name][k] for name in given})
         again = sf.simulate(dae, run.part(slice(k, k + 1)), inputs, np.array([0.0, 0.01]))
@@ -752,25 +750,25 @@ def test_a_vehicle_without_mass_has_no_forces():
     assert {*OF_FORCES, "steer_torque", "tip_over", "lift_off"} <= set(stand(VEHICLE, HILLS))
 
 
-wheel = partial(Wheel, "w", "platform", (0, 0, 0), Torus(0.1, 0.1), driven=True)
-passive = partial(Coordinate, "c", "passive", "c")
+wheel = partial(sf.Wheel, "w", "platform", (0, 0, 0), Torus(0.1, 0.1), driven=True)
+passive = partial(sf.Coordinate, "c", "passive", "c")
 
 
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda: Body(np.nan), "Body: mass: expected a number, found float nan"),
-        (lambda: Body(1.0, (0.0, np.inf, 0.0)), r"Body: at.1.: expected a finite number"),
+        (lambda: sf.Body(np.nan), "Body: mass: expected a number, found float nan"),
+        (lambda: sf.Body(1.0, (0.0, np.inf, 0.0)), r"Body: at.1.: expected a finite number"),
         (lambda: wheel(mass=-2.0), "wheel 'w': mass: expected a number >= 0"),
         (lambda: wheel(grip=0.0), "wheel 'w': grip: expected a number > 0, found 0.0"),
         (lambda: passive(stiffness=-1.0), "coordinate 'c': stiffness: expected a number >= 0"),
         (lambda: passive(rest=np.inf), "coordinate 'c': rest: expected a finite"),
         (
-            lambda: Coordinate("c", "commanded", "c", max_rate=0.0),
+            lambda: sf.Coordinate("c", "commanded", "c", max_rate=0.0),
             "coordinate 'c': max_rate: expected a number > 0, found 0.0",
         ),
         (
-            lambda: Coordinate("c", "commanded", "c", stiffness=1.0),
+            lambda: sf.Coordinate("c", "commanded", "c", stiffness=1.0),
             "coordinate 'c': a commanded coordinate cannot have a spring",
         ),
         (

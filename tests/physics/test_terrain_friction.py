@@ -14,22 +14,20 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.interpolate import NdBSpline
 
+import slipfree as sf
 from helpers.cases import function_of as looked_up
 from helpers.cases import hills
 from helpers.commands import invoke, refuses, sets
 from helpers.problem_files import VALID
-from slipfree.core.errors import DataError, ModelError
 from slipfree.files.toml import ProblemError
 from slipfree.problem.build import build_terrain
-from slipfree.problem.load import load_problem
 from slipfree.problem.result import build
-from slipfree.terrain.analytic import Analytic
-from slipfree.terrain.base import Grid
-from slipfree.terrain.bicubic import Bicubic
 
 ROUNDING = 1e-14
 OFFSET = (5e5, 4.1e6)
-HEIGHTS = Grid(np.linspace(-4, 6, 11), np.linspace(0, 5, 6), 100 + np.arange(66.0).reshape(11, 6))
+HEIGHTS = sf.Grid(
+    np.linspace(-4, 6, 11), np.linspace(0, 5, 6), 100 + np.arange(66.0).reshape(11, 6)
+)
 
 
 def bands(x, y):
@@ -40,11 +38,11 @@ def bands(x, y):
 def patches(seed=0, shape=(14, 9)):
     """Ice beside rock, at random nodes."""
     values = np.random.default_rng(seed).choice([0.02, 0.5, 1.2], shape)
-    return Grid(np.linspace(-3, 5, shape[0]), np.linspace(-3, 4, shape[1]), values)
+    return sf.Grid(np.linspace(-3, 5, shape[0]), np.linspace(-3, 4, shape[1]), values)
 
 
 def grounds(mu, center=None):
-    return {"analytic": Analytic(hills, mu=mu), "bicubic": Bicubic(HEIGHTS, center, mu)}
+    return {"analytic": sf.Analytic(hills, mu=mu), "bicubic": sf.Bicubic(HEIGHTS, center, mu)}
 
 
 GROUNDS = pytest.mark.parametrize("kind", list(grounds(None)))
@@ -124,20 +122,20 @@ def test_a_map_is_the_spline_whose_coefficients_are_its_values(kind):
 
 def test_a_map_never_leaves_the_range_of_its_values():
     mu = patches()
-    ground = Bicubic(HEIGHTS, mu=mu)
+    ground = sf.Bicubic(HEIGHTS, mu=mu)
     assert ground.friction_domain == mu.domain == (-3, 5, -3, 4)
     # Outside too, where a solver may look on its way.
     for margin, tolerance in ((0, ROUNDING), (2, 1e-13), (100, 1e-8)):
         found = evaluate(ground, *inside(mu, 5000, margin))[0]
         assert 0.02 - tolerance <= found.min() < found.max() <= 1.2 + tolerance
     # A surface through the values leaves it, which is why friction is not laid so.
-    assert Bicubic(mu).elevation(*inside(mu, 5000)).min() < 0
+    assert sf.Bicubic(mu).elevation(*inside(mu, 5000)).min() < 0
 
 
 def test_a_jump_is_smoothed_over_three_cells():
     axis = np.arange(10.0)
     values = np.repeat(np.where(axis < 4.5, 0.0, 1.0)[:, None] + 0.1, 10, axis=1)
-    ground = Bicubic(HEIGHTS, mu=Grid(axis, axis, values))
+    ground = sf.Bicubic(HEIGHTS, mu=sf.Grid(axis, axis, values))
     x = np.array([3, 3.5, 4, 4.5, 5, 5.5, 6])
     found = evaluate(ground, x, np.full(7, 5.2))[0] - 0.1
     assert_allclose(found, [0, 1 / 48, 1 / 6, 1 / 2, 5 / 6, 47 / 48, 1], rtol=0, atol=ROUNDING)
@@ -149,17 +147,17 @@ def test_a_jump_is_smoothed_over_three_cells():
 def test_a_map_lies_where_the_map_says_whatever_the_origin(center, offset, error):
     mu = patches()
     x, y = inside(mu)
-    expected = evaluate(Analytic(hills, mu=mu), x, y)[0]
-    far = Grid(mu.x + offset[0], mu.y + offset[1], mu.z)
-    heights = Grid(HEIGHTS.x + offset[0], HEIGHTS.y + offset[1], HEIGHTS.z)
-    ground = Bicubic(heights, center, far)
+    expected = evaluate(sf.Analytic(hills, mu=mu), x, y)[0]
+    far = sf.Grid(mu.x + offset[0], mu.y + offset[1], mu.z)
+    heights = sf.Grid(HEIGHTS.x + offset[0], HEIGHTS.y + offset[1], HEIGHTS.z)
+    ground = sf.Bicubic(heights, center, far)
     assert ground.origin[2] == HEIGHTS.z.mean()
     found = evaluate(ground, x + offset[0], y + offset[1])[0]
     assert_allclose(found, expected, rtol=0, atol=error)
 
 
 def test_a_surface_between_the_nodes_has_the_same_heights_in_numbers():
-    ground = Bicubic(HEIGHTS, (0.2, 0.4), through=False)
+    ground = sf.Bicubic(HEIGHTS, (0.2, 0.4), through=False)
     p, q = inside(HEIGHTS)
     u, v = ca.SX.sym("u"), ca.SX.sym("v")
     height = looked_up([u, v], lambda lookups: [ground.height(u, v, lookups)]).map(p.size)
@@ -187,11 +185,11 @@ def test_friction_changes_no_height_and_is_pickled(kind, mu):
 
 def test_formulas_are_compared_with_their_friction():
     mu = patches()
-    assert Analytic(hills, mu=mu) == Analytic(hills, mu=mu)
-    assert len({Analytic(hills), Analytic(hills, mu=0.5), Analytic(hills, mu=mu)}) == 3
-    ground = Analytic(hills, mu=mu)
+    assert sf.Analytic(hills, mu=mu) == sf.Analytic(hills, mu=mu)
+    assert len({sf.Analytic(hills), sf.Analytic(hills, mu=0.5), sf.Analytic(hills, mu=mu)}) == 3
+    ground = sf.Analytic(hills, mu=mu)
     evaluate(ground, *inside(mu, 5))
-    assert ground == Analytic(hills, mu=mu)
+    assert ground == sf.Analytic(hills, mu=mu)
     with pytest.raises(FrozenInstanceError):
         ground.mu = 0.1
 
@@ -209,7 +207,7 @@ def test_formulas_are_compared_with_their_friction():
     ],
 )
 def test_friction_that_is_none_is_refused(kind, mu, words):
-    with pytest.raises(ModelError, match=words):
+    with pytest.raises(sf.ModelError, match=words):
         grounds(mu)[kind]
 
 
@@ -217,12 +215,12 @@ def test_a_map_that_is_not_positive_is_refused():
     mu = patches()
     values = mu.z.copy()
     values[4, 7], values[6, 2] = 0.0, -0.1
-    bad = Grid(mu.x + 0.25, mu.y, values)
+    bad = sf.Grid(mu.x + 0.25, mu.y, values)
     words = (
         r"friction: all coefficients must be positive, found 2 of 126 that are not, the first "
         rf"0 at x = {bad.x[4]:.9g} m, y = 3\.125 m; for ice give a small number"
     )
-    refuses(DataError, words, Bicubic, HEIGHTS, mu=bad)
+    refuses(sf.DataError, words, sf.Bicubic, HEIGHTS, mu=bad)
 
 
 PROBLEM = VALID.replace("[terrain", "[terrain]\nfriction = 0.6\n\n[terrain", 1)
@@ -252,19 +250,19 @@ def test_check_tells_the_friction():
 
 
 def test_a_problem_with_a_number(folder):
-    problem = load_problem(folder / "p.toml")
+    problem = sf.load_problem(folder / "p.toml")
     terrain = build_terrain(problem, build(problem).ground)
     assert (terrain.mu, terrain.friction_domain) == (0.6, None)
     # A whole number is a number too.
-    assert load_problem(folder / "p.toml", ["terrain.friction=1"]).spec.terrain.friction == 1.0
-    ground = build(load_problem(folder / "p.toml", ["terrain.rolled=0.3"])).ground
+    assert sf.load_problem(folder / "p.toml", ["terrain.friction=1"]).spec.terrain.friction == 1.0
+    ground = build(sf.load_problem(folder / "p.toml", ["terrain.rolled=0.3"])).ground
     assert ground.rolled is not None
     assert (ground.mu, ground.friction) == (0.6, "0.6")
 
 
 def test_a_problem_with_a_map_scaled_with_its_ground(folder):
     settings = ["terrain.friction=mu.npz", "terrain.scale=2", "terrain.window=[-4, 5, -4, 5]"]
-    problem = load_problem(folder / "p.toml", settings)
+    problem = sf.load_problem(folder / "p.toml", settings)
     terrain = build_terrain(problem, build(problem).ground)
     assert terrain.domain == (-4, 5, -4, 5)
     # The window cuts the ground alone.
@@ -272,7 +270,7 @@ def test_a_problem_with_a_map_scaled_with_its_ground(folder):
     mu = patches()
     np.testing.assert_array_equal(terrain.mu.z, mu.z)
     x, y = inside(mu)
-    expected = evaluate(Bicubic(HEIGHTS, mu=mu), x, y)[0]
+    expected = evaluate(sf.Bicubic(HEIGHTS, mu=mu), x, y)[0]
     assert_allclose(evaluate(terrain, 2 * x, 2 * y)[0], expected, rtol=0, atol=1e-12)
 
 
@@ -295,5 +293,5 @@ def test_problem_refuses_a_map(folder, changes, words):
     else:
         np.savez(folder / "mu.npz", **({"x": mu.x, "y": mu.y} | changes))
     (folder / "p.toml").write_text(PROBLEM.replace("0.6", '"mu.npz"') + "\n")
-    problem = load_problem(folder / "p.toml", ["terrain.scale=2"])
+    problem = sf.load_problem(folder / "p.toml", ["terrain.scale=2"])
     refuses(ProblemError, rf"p\.toml:4: terrain\.friction: .*{words}", build, problem)

@@ -30,15 +30,12 @@ from helpers.friction_cases import (
 from helpers.vehicles import four_wheels
 from slipfree.catalog import rigid_skid_steer, three_wheeler
 from slipfree.core.records import leaves
-from slipfree.core.trajectory import Outcome
 from slipfree.models import force_distribution
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.kinematics import contact_labels
-from slipfree.models.montana import montana_kinematics
 from slipfree.problem.schema import GROUND_LAWS, SLIP_LAWS
 from slipfree.terrain.synthetic import blank, power_law
-from slipfree.vehicle.tree import Body
 
 
 def standing(vehicle, ground, law=sf.Coulomb(), **start):  # noqa: B008
@@ -147,7 +144,7 @@ def test_no_equilibrium_is_a_stop_by_name():
     expected = held.t[k - 1] + 0.1 * (0.35 - needed[k - 1]) / (needed[k] - needed[k - 1])
     run = moved(three_wheeler(), ground, sf.Coulomb(1e-6), t, rates)
     assert run.stop.name == "no_equilibrium"
-    assert run.outcome is Outcome.NO_EQUILIBRIUM
+    assert run.outcome is sf.Outcome.NO_EQUILIBRIUM
     assert run.stop.t == pytest.approx(expected, abs=2e-3)
     assert run.stop.words.startswith(
         "no quasi-static equilibrium: headed 0 degrees from uphill on a slope of "
@@ -184,7 +181,7 @@ def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
     runs = [moved(FIXED, ground, law, t, rates, tolerance=each, **start) for each in (1e-8, 1e-10)]
     for run in runs:
         assert run.stop.name == "fold"
-        assert run.outcome is Outcome.NO_EQUILIBRIUM
+        assert run.outcome is sf.Outcome.NO_EQUILIBRIUM
         assert "it can continue only with a jump, for example of front_rate from " in run.stop.words
     assert runs[0].stop.t == pytest.approx(runs[1].stop.t, abs=1e-3)
 
@@ -205,7 +202,7 @@ def test_friction_that_a_formula_makes_zero_is_a_stop_by_name():
 
 
 def test_a_vehicle_that_would_roll_away_is_not_said_to_tip_over():
-    vehicle = replace(four_wheels(rock=True), body=Body(30.0, (0.0, 0.5, 0.0)))
+    vehicle = replace(four_wheels(rock=True), body=sf.Body(30.0, (0.0, 0.5, 0.0)))
     free = tuple(replace(wheel, driven=False) for wheel in vehicle.wheels)
     with pytest.raises(
         sf.ModelError, match="no contact forces balance the vehicle: a wheel without"
@@ -219,7 +216,7 @@ def test_ice_is_a_stop_by_name_even_where_friction_jumps():
     )
     run = moved(FIXED, ground, sf.Coulomb(), T, x=0.013, y=0.017)
     assert run.stop.name == "no_equilibrium"
-    assert run.outcome is Outcome.NO_EQUILIBRIUM
+    assert run.outcome is sf.Outcome.NO_EQUILIBRIUM
     assert run["contact_y", "right"][-1] == pytest.approx(0.9, abs=1e-3)
     assert "times the friction of the ground, the ground offers 0.02 to 0.6" in run.stop.words
 
@@ -232,7 +229,7 @@ def test_the_edge_of_a_friction_map_is_a_stop_by_name():
     rates = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": 0.0}
     run = moved(FIXED, ground, sf.Coulomb(1e-6), T, rates)
     assert run.stop.name == "friction_margin[front]"
-    assert run.outcome is Outcome.LIMIT
+    assert run.outcome is sf.Outcome.LIMIT
     assert run.stop.t == pytest.approx(0.5 / 0.15, abs=2e-4)
     assert "wheel front leaves the friction map, which extends from -3.00 to 3.00 m in x and " in (
         run.stop.words
@@ -275,7 +272,7 @@ def test_what_does_not_suit_is_refused():
     ):
         with pytest.raises(sf.ModelError, match=words):
             sf.quasi_statics(vehicle, terrain, law=make())
-    for of in (sf.direct_kinematics, montana_kinematics):
+    for of in (sf.direct_kinematics, sf.montana_kinematics):
         refuses(sf.ModelError, "give a slip law, such as", of, FIXED, ground, slip=sf.Coulomb())
 
 
@@ -518,7 +515,7 @@ def test_a_law_has_a_label_for_every_equation_and_unknown(name):
         models = [sf.quasi_statics(VEHICLE, GROUND, law=law)]
     else:
         models = [
-            of(VEHICLE, GROUND, slip=law) for of in (sf.direct_kinematics, montana_kinematics)
+            of(VEHICLE, GROUND, slip=law) for of in (sf.direct_kinematics, sf.montana_kinematics)
         ]
     for dae in models:
         rates, labels = dae.labels.z.rates, dae.labels.alg[-2]

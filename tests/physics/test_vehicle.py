@@ -14,9 +14,7 @@ from helpers.vehicles import four_wheels
 from slipfree.catalog import three_wheeler
 from slipfree.contact.closure import has_exact_closure
 from slipfree.geometry.frame import Pose, platform, quaternion, translation, turn
-from slipfree.models.montana import montana_kinematics
 from slipfree.vehicle.sections import Disc, Omni, Torus
-from slipfree.vehicle.tree import Body, Joint, Vehicle, Wheel
 
 VEHICLE = three_wheeler()
 
@@ -31,7 +29,7 @@ def test_rotations_are_those_of_scipy(rng):
     expected = Rotation.from_euler("ZYX", angles).as_matrix()
     assert_allclose(numbers(pose.rotation), expected, atol=1e-15)
     assert_allclose(numbers(pose.origin).ravel(), [1, 2, 3])
-    pose = Joint("arm", "platform", "z", (0.1, 0.2, 0.3), "0", turned=tuple(angles)).pose({})
+    pose = sf.Joint("arm", "platform", "z", (0.1, 0.2, 0.3), "0", turned=tuple(angles)).pose({})
     expected = Rotation.from_euler("xyz", angles).as_matrix()
     assert_allclose(numbers(pose.rotation), expected, atol=1e-15)
     assert_allclose(numbers(pose.origin).ravel(), [0.1, 0.2, 0.3])
@@ -80,7 +78,7 @@ def test_only_vehicles_with_enough_freedom_can_be_made_to_roll():
 
 
 def test_a_sliding_joint_moves_its_part_along_its_axis():
-    axle = Joint("axle", "platform", "x", (0.1, 0.2, 0.3), "reach", "slide")
+    axle = sf.Joint("axle", "platform", "x", (0.1, 0.2, 0.3), "reach", "slide")
     assert_allclose(numbers(axle.pose({"reach": ca.SX(0.5)}).origin).ravel(), [0.6, 0.2, 0.3])
     vehicle = replace(
         VEHICLE, joints=(replace(VEHICLE.joints[0], motion="slide"), *VEHICLE.joints[1:])
@@ -136,7 +134,7 @@ def test_faults_are_named(build, words):
 
 def test_an_axle_may_point_anywhere():
     for axle in ((1, 0, 0), (-1, 0, 0), (0.3, 0.4, -0.5)):
-        wheel = Wheel("wheel", "platform", (1.0, 2.0, 3.0), Disc(0.2), driven=True, axle=axle)
+        wheel = sf.Wheel("wheel", "platform", (1.0, 2.0, 3.0), Disc(0.2), driven=True, axle=axle)
         rotation = numbers(wheel.mount.rotation)
         assert_allclose(rotation[:, 0], np.array(axle) / np.linalg.norm(axle), atol=1e-15)
         assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-15)
@@ -146,7 +144,7 @@ def test_an_axle_may_point_anywhere():
 
 def test_a_joint_follows_a_formula_of_coordinates():
     """A differential and a camera mast: two parts by one coordinate, one by two."""
-    mirror = Joint("mirror", "platform", "x", (0, 0, 0), "-0.5*steer + tilt_left")
+    mirror = sf.Joint("mirror", "platform", "x", (0, 0, 0), "-0.5*steer + tilt_left")
     values = {"steer": ca.SX(0.3), "tilt_left": ca.SX(0.1), "tilt_right": ca.SX(0)}
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     parts = replace(VEHICLE, joints=(*VEHICLE.joints, mirror)).parts(rest, values)
@@ -161,8 +159,8 @@ def omni_cart(*, rollers):
     for k in range(3):
         axle = (np.cos(2 * np.pi * k / 3), np.sin(2 * np.pi * k / 3), 0.0)
         at = tuple(0.4 * each for each in axle)
-        wheels.append(Wheel(f"w{k}", "platform", at, section, driven=True, mass=1.0, axle=axle))
-    return Vehicle("omni_cart", (), (), tuple(wheels), Body(10.0))
+        wheels.append(sf.Wheel(f"w{k}", "platform", at, section, driven=True, mass=1.0, axle=axle))
+    return sf.Vehicle("omni_cart", (), (), tuple(wheels), sf.Body(10.0))
 
 
 def test_a_cart_on_rollers_goes_anywhere_without_slip(rng):
@@ -204,7 +202,7 @@ def test_rollers_are_refused_where_they_are_not_modelled():
     with pytest.raises(sf.ModelError, match="'omni_cart': expected wheels without rollers"):
         sf.direct_kinematics(omni_cart(rollers=True), flat, slip=sf.Rolling())
     with pytest.raises(sf.ModelError, match="Montana's form: expected wheels without rollers"):
-        montana_kinematics(omni_cart(rollers=True), flat)
+        sf.montana_kinematics(omni_cart(rollers=True), flat)
 
 
 @pytest.mark.parametrize("name", ["friction_needed", "time"])

@@ -13,11 +13,9 @@ import slipfree as sf
 from helpers.cases import BOUNDED_RATES, PROBLEMS, hills, straight_on
 from helpers.commands import invoke, refuses, sets
 from slipfree.catalog import three_wheeler
-from slipfree.core.trajectory import Outcome
 from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip
 from slipfree.plan.pareto import FrontPoint, pareto_front
-from slipfree.plan.plan import plan
 from slipfree.plan.robust import (
     MAX_ROUNDS,
     Bound,
@@ -27,7 +25,6 @@ from slipfree.plan.robust import (
     added_tightening,
     robust_plan,
 )
-from slipfree.plan.transcription import Mesh
 from slipfree.plan.verification import inputs_along
 from slipfree.problem.load import verb_of
 
@@ -40,7 +37,7 @@ STEER = {"steer": (-1.0, 1.0)}
 
 def asked(vehicle=VEHICLE, *, goal=None, costs=None, duration=20.0, **options):
     dae, start, first = straight_on(vehicle, sf.Analytic(hills), 0.45, np.linspace(0, 20, 61))
-    found = plan(
+    found = sf.plan(
         dae,
         start,
         first,
@@ -77,7 +74,7 @@ def test_a_rigid_axle_reaches_its_goal_with_least_slip():
 @pytest.mark.slow
 def test_a_limited_cost_is_at_its_limit():
     """A limit on a term without weight; below the least value the explanation names the cost."""
-    given = {"limits": STEER, "mesh": Mesh(6, accuracy=0.05)}
+    given = {"limits": STEER, "mesh": sf.Mesh(6, accuracy=0.05)}
     _, _, free = asked(costs={"effort": 1.0}, **given)
     least = free.costs["effort"]
     assert rms_slip(free.replay) > 1e-3  # effort alone slips more
@@ -87,7 +84,7 @@ def test_a_limited_cost_is_at_its_limit():
     assert found.success
     assert found.costs["effort"] == pytest.approx(1.03 * least, rel=1e-6)
     _, _, none = asked(cost_limits={"effort": 0.5 * least}, **given)
-    assert none.run.outcome is Outcome.INFEASIBLE
+    assert none.run.outcome is sf.Outcome.INFEASIBLE
     assert "cost effort: " in none.run.stop.words
 
 
@@ -99,7 +96,7 @@ def test_tilting_wheels_keep_to_their_limit_without_slip():
         vehicle,
         goal={"x": 0.3, "y": 1.3},
         duration=duration,
-        mesh=Mesh(count),
+        mesh=sf.Mesh(count),
         costs={"effort": 0.01, "tilt_right": 1.0, "tilt_left": 1.0},
         limits={"tilt_right": (-0.35, 0.35), "tilt_left": (-0.35, 0.35), "steer": (-1.0, 1.0)},
     )
@@ -127,7 +124,7 @@ def test_a_pose_a_way_point_and_a_range_of_durations():
         duration=(5.0, 30.0),
         costs={"slip": 1e3, "time": 0.01},
         accelerations=dict.fromkeys(BOUNDED_RATES, (-1.0, 1.0)),
-        mesh=Mesh(20),
+        mesh=sf.Mesh(20),
     )
     assert found.success
     assert found.run["y"][-1] == pytest.approx(2.0, abs=1e-6)
@@ -253,14 +250,14 @@ def by_opti(dae, start, count):
 
 
 def planned(driven, count):
-    found = plan(
+    found = sf.plan(
         *driven,
         goal=dict(zip("xy", INDEPENDENT_GOAL, strict=True)),
         costs={"slip": SLIP, "effort": EFFORT},
         smooth=SMOOTH,
         duration=DURATION,
         limits={"steer": (-INDEPENDENT_STEER, INDEPENDENT_STEER)},
-        mesh=Mesh(count, accuracy=1.0),
+        mesh=sf.Mesh(count, accuracy=1.0),
     )
     assert found.success
     return found
@@ -415,7 +412,7 @@ def test_interval_is_that_of_clopper_and_pearson(held: int, draws: int) -> None:
 
 # Pareto fronts with closed forms: convex or not, with local optima or failures
 
-DONE = Outcome.COMPLETE
+DONE = sf.Outcome.COMPLETE
 
 
 def convex(bound):
@@ -457,7 +454,7 @@ def test_local_optima_are_solved_again_or_marked():
 
 def test_points_that_are_not_solved_are_kept_with_their_reason():
     def failing(task, point):
-        failed = FrontPoint(task.bound, outcome=Outcome.INFEASIBLE, words="why")
+        failed = FrontPoint(task.bound, outcome=sf.Outcome.INFEASIBLE, words="why")
         return failed if task.number == 1 else point
 
     found = front(convex, 5, change=failing)

@@ -15,11 +15,9 @@ from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
-from slipfree.core.trajectory import Outcome
 from slipfree.files import netcdf
 from slipfree.files.toml import ProblemError
 from slipfree.plan import plan as planning
-from slipfree.plan.plan import plan
 from slipfree.plan.search import count_distinct, distances, further_guesses
 from slipfree.plan.verification import verify_plan
 
@@ -53,7 +51,7 @@ def planned(model, guess, **options):
     """Return a plan that stays off the top of the hill."""
     dae, start = model
     top = (dae.x.x - 0.03) ** 2 + (dae.x.y - 1.5) ** 2
-    return plan(
+    return sf.plan(
         dae,
         start,
         guess,
@@ -159,6 +157,6 @@ def test_an_interrupt_keeps_the_best_start_so_far(monkeypatch):
             raise KeyboardInterrupt
 
     found = sf.run_problem(sf.load_problem(PROBLEM, FEW), tell=interrupt)
-    assert found.outcome is Outcome.INTERRUPTED
+    assert found.outcome is sf.Outcome.INTERRUPTED
     assert len(found.trajectory.facts["plan_starts"].value) == 1
     assert found.trajectory["y"][-1] == pytest.approx(2.6, abs=1e-3)

@@ -11,17 +11,12 @@ import pytest
 from matplotlib.path import Path as Outline
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 from helpers.cases import box
 from helpers.commands import refuses
-from slipfree import Analytic, Bicubic, Grid, catalog, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
 from slipfree.control.path_following import arc_inputs, turning_axis_offset
-from slipfree.core.errors import ModelError
-from slipfree.core.trajectory import Outcome
-from slipfree.geometry.regions import Region
 from slipfree.plan.guess import HEADINGS, reeds_shepp
-from slipfree.problem.load import load_problem
-from slipfree.problem.result import run_problem
 from slipfree.routing.search import route, unheld_words, unreachable
 from slipfree.routing.traversability import free_space
 from slipfree.solve.sampling import input_samples
@@ -37,7 +32,7 @@ POLYGONS = [((0, 0), (5, 1), (2, 4)), STAR, ELL, WITH_STRAIGHT]
 
 
 def at_utm(points):
-    return Region.polygon(tuple((x + UTM[0], y + UTM[1]) for x, y in points))
+    return sf.Region.polygon(tuple((x + UTM[0], y + UTM[1]) for x, y in points))
 
 
 def expression(region):
@@ -59,13 +54,13 @@ def brute_distance(points, x, y):
 
 
 def test_distance_to_a_disc(rng):
-    disc = Region.disc(1.0, 2.0, 0.5)
+    disc = sf.Region.disc(1.0, 2.0, 0.5)
     assert_allclose(disc.distance(np.array([1.0, 4.0]), np.array([2.0, 6.0])), [-0.5, 4.5])
     assert (disc.bounds, disc.words) == ((0.5, 1.5, 1.5, 2.5), "disc at (1, 2) of 0.5 m radius")
     _, gradient, hessian = expression(disc)(np.array([[1.0, 2.0]]))
     assert_allclose(gradient, 0)
     assert np.isfinite(hessian).all()
-    disc = Region.disc(400_001.0, 5_500_002.0, 3.0)
+    disc = sf.Region.disc(400_001.0, 5_500_002.0, 3.0)
     points = rng.uniform(-9, 9, (300, 2)) + np.array([disc.x, disc.y])
     value, gradient, _ = expression(disc)(points)
     distance = disc.distance(*points.T)
@@ -76,20 +71,20 @@ def test_distance_to_a_disc(rng):
 
 @pytest.mark.parametrize("points", POLYGONS)
 def test_distance_to_a_polygon(rng, points):
-    region = Region.polygon(points)
+    region = sf.Region.polygon(points)
     x, y = rng.uniform(-3, 10, (2, 400))
     distance = region.distance(x, y)
     inside = Outline(np.array(points)).contains_points(np.stack([x, y], axis=1))
     assert_allclose(np.abs(distance), brute_distance(points, x, y), atol=4e-3)
     assert ((distance < 0) == inside).all()
-    assert_allclose(Region.polygon(points[::-1]).distance(x, y), distance, atol=1e-14)
+    assert_allclose(sf.Region.polygon(points[::-1]).distance(x, y), distance, atol=1e-14)
     a, b = rng.uniform(-3, 10, (2, 2, 1000))  # it grows no faster than the way
     gap = np.abs(region.distance(*a) - region.distance(*b))
     assert (gap <= np.hypot(*(a - b)) + 1e-12).all()
 
 
 @pytest.mark.parametrize("points", POLYGONS)
-@pytest.mark.parametrize("make", [Region.polygon, at_utm])
+@pytest.mark.parametrize("make", [sf.Region.polygon, at_utm])
 def test_expression_of_a_polygon_is_its_distance(rng, points, make):
     region = make(points)
     shift = region.points[0][0] - points[0][0], region.points[0][1] - points[0][1]
@@ -102,16 +97,16 @@ def test_expression_of_a_polygon_is_its_distance(rng, points, make):
 
 def test_gradient_on_an_edge_is_its_normal():
     on_edges = np.array([[3.0, 0.0], [4.0, 1.0], [2.0, 0.0]])  # the last on a point, no corner
-    value, gradient, hessian = expression(Region.polygon(WITH_STRAIGHT))(on_edges)
+    value, gradient, hessian = expression(sf.Region.polygon(WITH_STRAIGHT))(on_edges)
     assert_allclose(value[0], 0, atol=1e-15)
     assert_allclose(gradient.T, [(0, -1), (1, 0), (0, -1)], atol=1e-15)
     assert_allclose(hessian, 0, atol=1e-12)
 
 
 def test_polygon_describes_itself():
-    region = Region.polygon([[0, 0], [3, 0], [0, 3]])
+    region = sf.Region.polygon([[0, 0], [3, 0], [0, 3]])
     assert (region.words, region.bounds) == ("polygon of 3 points about (1, 1)", (0, 3, 0, 3))
-    assert hash(region) == hash(Region.polygon(((0, 0), (3, 0), (0, 3))))
+    assert hash(region) == hash(sf.Region.polygon(((0, 0), (3, 0), (0, 3))))
 
 
 @pytest.mark.parametrize(
@@ -127,13 +122,15 @@ def test_polygon_describes_itself():
     ],
 )
 def test_bad_polygons_are_refused(points, message):
-    refuses(ModelError, message, Region.polygon, points)
+    refuses(sf.ModelError, message, sf.Region.polygon, points)
 
 
 def test_bad_discs_are_refused():
     for radius in (0.0, np.nan):
-        refuses(ModelError, "radius: expected a", Region.disc, 0.0, 0.0, radius)
-    refuses(ModelError, r"x: expected a number, found float nan", Region.disc, np.nan, 0.0, 1.0)
+        refuses(sf.ModelError, "radius: expected a", sf.Region.disc, 0.0, 0.0, radius)
+    refuses(
+        sf.ModelError, r"x: expected a number, found float nan", sf.Region.disc, np.nan, 0.0, 1.0
+    )
 
 
 # Invalid positions on a map are reported by name before a search
@@ -143,7 +140,7 @@ START = ("start", 5.0, 5.0)
 
 
 def flat(**options):
-    return free_space(Bicubic(blank((0, 30), (0, 30), 0.25), mu=0.6), ROVER, **options)
+    return free_space(sf.Bicubic(blank((0, 30), (0, 30), 0.25), mu=0.6), ROVER, **options)
 
 
 def told(layers, *places):
@@ -152,7 +149,7 @@ def told(layers, *places):
 
 def test_all_that_is_wrong_is_told():
     """In some headings there is room at the edge: it is not sure that no motion passes there."""
-    layers = flat(keep_out=[Region.disc(20.0, 20.0, 2.0)])
+    layers = flat(keep_out=[sf.Region.disc(20.0, 20.0, 2.0)])
     inside, outside = told(
         layers, START, ("way-point 1", 0.5, 10.0), ("way-point 2", 20.0, 20.0), ("goal", 33.5, 10.0)
     )
@@ -165,7 +162,7 @@ def test_all_that_is_wrong_is_told():
 
 
 def test_the_distance_to_a_place_to_keep_out_of_is_that_of_the_point_not_of_its_node():
-    layers = flat(keep_out=[Region.disc(20.0, 20.0, 2.0), Region.disc(25.0, 10.0, 1.0)])
+    layers = flat(keep_out=[sf.Region.disc(20.0, 20.0, 2.0), sf.Region.disc(25.0, 10.0, 1.0)])
     reach = layers.limits.reach
     ((_, words),) = told(layers, START, ("goal", 20.0 + 2.0 + reach - 0.01, 20.0))
     assert "1.41 m from the keep-out disc at (20, 20) of 2 m radius, and wheels" in words
@@ -182,16 +179,16 @@ def test_the_distance_to_a_place_to_keep_out_of_is_that_of_the_point_not_of_its_
 def test_friction_that_holds_no_heading_is_told_with_its_factor():
     """Straight up a slope of 20 degrees, all weight on the driven wheels needs its tangent."""
     grid, tangent = blank((0, 8), (0, 8), 0.5), math.tan(math.radians(20))
-    terrain = Bicubic(Grid(grid.x, grid.y, tangent * grid.y + grid.z), mu=0.2)
+    terrain = sf.Bicubic(sf.Grid(grid.x, grid.y, tangent * grid.y + grid.z), mu=0.2)
     words = unheld_words(terrain, ROVER, 4.0, 4.0)
     factor = float(re.search(r"needs at least ([\d.]+) times the friction", words).group(1))
     assert tangent / 0.2 < factor < 1.6 * tangent / 0.2
     assert not unheld_words(replace(terrain, mu=0.6), ROVER, 4.0, 4.0)
-    assert not unheld_words(Bicubic(grid, mu=0.2), ROVER, 4.0, 4.0)
+    assert not unheld_words(sf.Bicubic(grid, mu=0.2), ROVER, 4.0, 4.0)
 
 
 def test_places_to_keep_out_of_that_divide_the_map():
-    disc, ends = Region.disc(5.0, 25.0, 1.0), [START, ("goal", 25.0, 25.0)]
+    disc, ends = sf.Region.disc(5.0, 25.0, 1.0), [START, ("goal", 25.0, 25.0)]
     ((place, words),) = told(flat(keep_out=[disc, box(0, 30, 14, 16)]), *ends)
     assert place == "goal"
     assert words.endswith(
@@ -210,9 +207,9 @@ def test_places_to_keep_out_of_that_divide_the_map():
 def test_routes_keep_out_of_holes():
     grid = blank((0, 30), (0, 30), 0.25)
     holes = np.hypot(grid.x[:, None] - 15, grid.y - 15) < 4
-    layers = free_space(Bicubic(Grid(grid.x, grid.y, grid.z, holes=holes)), ROVER)
+    layers = free_space(sf.Bicubic(sf.Grid(grid.x, grid.y, grid.z, holes=holes)), ROVER)
     words = "m from a hole in the map, where heights are missing, and wheels reach"
-    refuses(ModelError, words, route, layers, (5, 5), (15.0, 19.5))
+    refuses(sf.ModelError, words, route, layers, (5, 5), (15.0, 19.5))
     points = route(layers, (5, 5), (25, 25))
     assert np.hypot(*(points - 15).T).min() > 4 + layers.limits.reach - 0.25
 
@@ -262,13 +259,13 @@ def folder(tmp_path: Path) -> Path:
 
 def _solved(folder: Path, text: str):
     (folder / "p.toml").write_text(f"{text}{PROBLEM}")
-    return run_problem(load_problem(folder / "p.toml"))
+    return sf.run_problem(sf.load_problem(folder / "p.toml"))
 
 
 def _clearance(result) -> np.ndarray:
     """Return the least distance of the contacts from holes at each sample [m]."""
     run, grid = result.trajectory, result.setup.ground.grid
-    distance = Bicubic(type(grid)(grid.x, grid.y, hole_distance(grid)))
+    distance = sf.Bicubic(type(grid)(grid.x, grid.y, hole_distance(grid)))
     return distance.elevation(run["contact_x"], run["contact_y"]).min(axis=1)
 
 
@@ -276,7 +273,7 @@ def _clearance(result) -> np.ndarray:
 def test_a_plan_leads_around_the_hole(folder: Path) -> None:
     found = _solved(folder, PLAN)
     run, grid = found.trajectory, found.setup.ground.grid
-    assert run.outcome is Outcome.COMPLETE
+    assert run.outcome is sf.Outcome.COMPLETE
     assert np.hypot(run["x"][-1] - 10, run["y"][-1] - 16) < 0.01
     assert not grid.touches(grid.holes, run["contact_x"], run["contact_y"]).any()
     assert _clearance(found).min() > 0
@@ -286,7 +283,7 @@ def test_a_plan_leads_around_the_hole(folder: Path) -> None:
 def test_a_drive_ends_at_the_hole(folder: Path) -> None:
     found = _solved(folder, DRIVE)
     run = found.trajectory
-    assert run.outcome is Outcome.LIMIT
+    assert run.outcome is sf.Outcome.LIMIT
     assert "reaches a hole in the map" in run.stop.words
     assert 0 < _clearance(found)[-1] < 0.25  # a cell
 
@@ -359,24 +356,24 @@ def test_free_heading_takes_the_shortest_path():
     headings = start[2] + 2 * np.pi * np.arange(HEADINGS) / HEADINGS
     lengths = [length_of(reeds_shepp(start, (*goal, each), RADIUS)) for each in headings]
     assert length_of(free) == pytest.approx(min(lengths))
-    with pytest.raises(ModelError, match="positive, finite 'turning_radius'"):
+    with pytest.raises(sf.ModelError, match="positive, finite 'turning_radius'"):
         reeds_shepp((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0)
 
 
 def driven(vehicle, arcs, speed=0.5):
     """Return the motion of a vehicle along arcs on a plane."""
-    ground: Terrain = Analytic(lambda x, y: 0 * x * y)
-    dae = direct_kinematics(vehicle, ground)
-    start = settle(dae)
+    ground: Terrain = sf.Analytic(lambda x, y: 0 * x * y)
+    dae = sf.direct_kinematics(vehicle, ground)
+    start = sf.settle(dae)
     values = {c.name: 0.0 for c in vehicle.of("commanded")}
     pieces, duration = arc_inputs(dae, arcs, values, speed=speed)
     t, rates = input_samples(duration, 0.2, pieces)
-    return simulate(dae, start, dae.inputs(**rates), t), duration
+    return sf.simulate(dae, start, dae.inputs(**rates), t), duration
 
 
 @pytest.mark.parametrize("heading", [0.4, None])
 def test_steered_vehicle_drives_the_arcs_without_slip(heading):
-    vehicle = catalog.three_wheeler(axle="fixed")
+    vehicle = sf.catalog.three_wheeler(axle="fixed")
     ahead = turning_axis_offset(vehicle)
     assert ahead == pytest.approx(0.5)
     arcs = reeds_shepp((0.0, 0.0, 0.0), (1.0, -1.0, heading), 1.2, ahead)
@@ -390,7 +387,7 @@ def test_steered_vehicle_drives_the_arcs_without_slip(heading):
 
 
 def test_skid_steer_vehicle_drives_the_arcs_roughly():
-    vehicle = catalog.rigid_skid_steer()
+    vehicle = sf.catalog.rigid_skid_steer()
     run, _ = driven(vehicle, [(1.0, 0.8), (-0.5, -0.8)])
     x, y, heading = end_of((0.0, 0.0, 0.0), [(1.0, 0.8), (-0.5, -0.8)])
     assert (run["x"][-1], run["y"][-1]) == pytest.approx((x, y), abs=0.05)

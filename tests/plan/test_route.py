@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 from helpers.cases import box
 from helpers.commands import refuses
-from slipfree import Bicubic, Grid, Path, direct_kinematics, follow, settle, simulate
 from slipfree.catalog import three_wheeler
-from slipfree.core.errors import ModelError
-from slipfree.geometry.regions import Region
 from slipfree.routing import search as search
 from slipfree.routing.search import (
     SLIDING,
@@ -44,13 +42,13 @@ def corridor(width=2.0):
         box(0, low, high, high + 0.5),
         box(low - 0.5, low, high, 20),
     ]
-    terrain = Bicubic(blank((0, 20), (0, 20), 0.1))
+    terrain = sf.Bicubic(blank((0, 20), (0, 20), 0.1))
     return free_space(terrain, SMALL, keep_out=walls, spacing=0.1), low + width / 2
 
 
 def plain(size=20, spacing=0.5, **options):
     """Layers of level ground."""
-    return free_space(Bicubic(blank((0, size), (0, size), spacing)), ROVER, **options)
+    return free_space(sf.Bicubic(blank((0, size), (0, size), spacing)), ROVER, **options)
 
 
 def length(points):
@@ -59,7 +57,7 @@ def length(points):
 
 def driven(points):
     """Return places along the path through the points, and their curvature."""
-    path = Path(points)
+    path = sf.Path(points)
     place = path.at(np.linspace(0, path.length, 2000))
     return np.stack([place.x, place.y], axis=1), place.curvature
 
@@ -76,7 +74,7 @@ def costs_at(layers, places):
 def slope_of(degrees, vehicle, **options):
     """Return the map of a vehicle on a plane that rises to the north, and a node inside."""
     grid, rise = blank((0, 4), (0, 4), 0.5), math.tan(math.radians(degrees))
-    terrain = Bicubic(Grid(grid.x, grid.y, rise * grid.y[None, :] + grid.z), **options)
+    terrain = sf.Bicubic(sf.Grid(grid.x, grid.y, rise * grid.y[None, :] + grid.z), **options)
     layers = traversability(terrain, vehicle)
     return terrain, layers, (layers.x.size // 2, layers.y.size // 2)
 
@@ -84,9 +82,9 @@ def slope_of(degrees, vehicle, **options):
 def test_costs_are_those_of_poses():
     """On a plane they follow from the pose of settle at each heading."""
     terrain, layers, at = slope_of(10, ROVER, mu=0.6)
-    model = direct_kinematics(ROVER, terrain)
+    model = sf.direct_kinematics(ROVER, terrain)
     for k in (0, 3, 6):
-        pose = settle(model, x=layers.x[at[0]], y=layers.y[at[1]], heading=layers.heading[k])
+        pose = sf.settle(model, x=layers.x[at[0]], y=layers.y[at[1]], heading=layers.heading[k])
         margin, used = pose["tip_over_margin"][0].min(), pose["utilisation"][0].max()
         tilt = math.acos(math.cos(pose["roll"][0]) * math.cos(pose["pitch"][0]))
         expected = 1 + 4 * (tilt / STEEP) ** 2 + 4 * used**2 + 4 * (tilt / (tilt + margin)) ** 2
@@ -115,7 +113,7 @@ def test_backwards_the_front_points_the_other_way():
 
 
 def test_axes_are_a_third_of_the_smaller_half_extent_apart():
-    layers = free_space(Bicubic(blank((0, 20), (0, 30), 0.1)), ROVER)
+    layers = free_space(sf.Bicubic(blank((0, 20), (0, 30), 0.1)), ROVER)
     assert_allclose(layers.spacing, 1.05 / 3, rtol=0.02)
     assert layers.cost.shape == (1, layers.x.size, layers.y.size)
     assert (layers.x[0], layers.x[-1], layers.y[0], layers.y[-1]) == (0, 20, 0, 30)
@@ -135,25 +133,25 @@ def test_wheels_stay_on_the_map():
 @pytest.mark.parametrize("kind", ["formula", "map"])
 def test_friction_that_cannot_hold_blocks(kind):
     grid, nodes = blank((0, 12), (0, 8), 0.5), blank((0, 12), (0, 8), 1.0)
-    uphill = Grid(grid.x, grid.y, 0.3 * grid.y + grid.z)
+    uphill = sf.Grid(grid.x, grid.y, 0.3 * grid.y + grid.z)
     mu = {
         "formula": lambda x, y: ca.if_else(x < 6, 0.1, 0.6) + 0 * y,
-        "map": Grid(nodes.x, nodes.y, np.where(nodes.x < 6, 0.1, 0.6)[:, None] + nodes.z),
+        "map": sf.Grid(nodes.x, nodes.y, np.where(nodes.x < 6, 0.1, 0.6)[:, None] + nodes.z),
     }[kind]
-    layers = traversability(Bicubic(uphill, mu=mu), ROVER)
+    layers = traversability(sf.Bicubic(uphill, mu=mu), ROVER)
     words = blocking_reasons(layers, 3.0, 4.0)
     assert words.startswith("no heading is possible: the vehicle needs at least ")
     assert 2.9 < float(re.search(r"least ([\d.]+) times the friction", words).group(1)) < 6
     assert blocking_reasons(layers, 9.0, 4.0) == ""
     with pytest.raises(
-        ModelError, match=r"cannot be at the start \(3, 4\): no heading is possible"
+        sf.ModelError, match=r"cannot be at the start \(3, 4\): no heading is possible"
     ):
         route(layers, (3.0, 4.0), (9.0, 4.0))
 
 
 def test_keep_out_is_blocked_as_far_as_wheels_reach():
-    disc, wall = Region.disc(5.0, 5.0, 1.0), box(12, 14, 10, 14)
-    terrain = Bicubic(blank((0, 20), (0, 20), 0.25))
+    disc, wall = sf.Region.disc(5.0, 5.0, 1.0), box(12, 14, 10, 14)
+    terrain = sf.Bicubic(blank((0, 20), (0, 20), 0.25))
     layers = free_space(terrain, ROVER, keep_out=[disc, wall], spacing=0.25)
     x, y = np.meshgrid(layers.x, layers.y, indexing="ij")
     near = (disc.distance(x, y) < REACH) | (wall.distance(x, y) < REACH)
@@ -170,12 +168,12 @@ def test_bad_options_are_refused():
         ({"spacing": 0.0}, "spacing: expected a number > 0, found 0.0"),
         ({"spacing": 11.0}, r"half the smaller side of the map, 10 m, found 11 m"),
     ):
-        with pytest.raises(ModelError, match=message):
-            free_space(Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER, **options)
+        with pytest.raises(sf.ModelError, match=message):
+            free_space(sf.Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER, **options)
     for radius in (-1.0, np.inf):
-        with pytest.raises(ModelError, match=r"turning_radius: expected a (numb|fin)"):
+        with pytest.raises(sf.ModelError, match=r"turning_radius: expected a (numb|fin)"):
             route(plain(), (10.0, 5.0), (15.0, 5.0), turning_radius=radius)
-    with pytest.raises(ModelError, match="count: expected a number >= 1, found 0"):
+    with pytest.raises(sf.ModelError, match="count: expected a number >= 1, found 0"):
         routes(plain(), (10.0, 5.0), (15.0, 5.0), 0)
 
 
@@ -194,7 +192,7 @@ def test_grid_search_is_at_most_2_8_percent_long():
 @pytest.mark.parametrize("origin", [(0.0, 0.0), UTM])
 def test_straight_on_flat_ground(angle, origin):
     x, y = origin
-    layers = free_space(Bicubic(blank((x, x + 40), (y, y + 40), 0.5)), ROVER)
+    layers = free_space(sf.Bicubic(blank((x, x + 40), (y, y + 40), 0.5)), ROVER)
     start = (x + 20 - 15.03 * math.cos(angle), y + 20 - 15.01 * math.sin(angle))
     goal = (x + 20 + 14.0 * math.cos(angle), y + 20 + 14.0 * math.sin(angle))
     points = route(layers, start, goal)
@@ -207,7 +205,7 @@ def test_straight_on_flat_ground(angle, origin):
 
 def test_through_the_gap_of_a_wall():
     x, y = UTM
-    terrain = Bicubic(blank((x, x + 40), (y, y + 40), 0.5))
+    terrain = sf.Bicubic(blank((x, x + 40), (y, y + 40), 0.5))
     walls = [box(x, x + 25, y + 19.5, y + 20.5), box(x + 31, x + 40, y + 19.5, y + 20.5)]
     layers = free_space(terrain, ROVER, keep_out=walls)
     points = route(layers, (x + 10, y + 10), (x + 10, y + 30), turning_radius=2.0)
@@ -221,7 +219,7 @@ def test_through_the_gap_of_a_wall():
 
 
 def test_around_a_disc():
-    layers, radius = plain(40, 0.25, keep_out=[Region.disc(20.0, 20.0, 6.0)]), 6 + REACH
+    layers, radius = plain(40, 0.25, keep_out=[sf.Region.disc(20.0, 20.0, 6.0)]), 6 + REACH
     points = route(layers, (5.0, 20.0), (35.0, 20.0))
     arc = radius * (math.pi - 2 * math.acos(radius / 15))
     assert_allclose(length(points), 2 * math.sqrt(15**2 - radius**2) + arc, rtol=0.02)
@@ -278,17 +276,17 @@ def test_where_way_points_half_an_extent_apart_cut_a_corner_more_are_given(size)
 def cratered():
     """A ground with craters and its layers for a vehicle."""
     grid = craters(blank((0, 24), (0, 24), 0.25), count=9, diameters=(2, 5), seed=6)
-    terrain = Bicubic(grid, mu=0.6)
+    terrain = sf.Bicubic(grid, mu=0.6)
     return terrain, traversability(terrain, three_wheeler(), spacing=1.0)
 
 
 def test_a_vehicle_follows_its_route_through_craters(cratered):
     terrain, layers = cratered
-    path = Path(route(layers, (4.0, 4.0), (20.0, 20.0), turning_radius=2.0))
-    dae = direct_kinematics(three_wheeler(), terrain)
-    start = settle(dae, x=4.0, y=4.0, heading=float(path.at(np.zeros(1)).heading[0]))
-    law = follow(dae, path, speed=0.5)
-    run = simulate(dae, start, law, np.linspace(0, path.length / 0.5, 40))
+    path = sf.Path(route(layers, (4.0, 4.0), (20.0, 20.0), turning_radius=2.0))
+    dae = sf.direct_kinematics(three_wheeler(), terrain)
+    start = sf.settle(dae, x=4.0, y=4.0, heading=float(path.at(np.zeros(1)).heading[0]))
+    law = sf.follow(dae, path, speed=0.5)
+    run = sf.simulate(dae, start, law, np.linspace(0, path.length / 0.5, 40))
     assert run.stop is None
     assert math.dist((run["x"][-1], run["y"][-1]), (20.0, 20.0)) < 0.05
 
@@ -311,7 +309,7 @@ def test_the_cost_of_a_route_is_the_integral_of_the_cost_along_it(cratered):
 
 
 def discs(*each):
-    return plain(40, keep_out=[Region.disc(*disc) for disc in each])
+    return plain(40, keep_out=[sf.Region.disc(*disc) for disc in each])
 
 
 @pytest.mark.parametrize("is_turned", [False, True])
@@ -381,9 +379,9 @@ def test_a_class_does_not_change_with_the_path_between_obstacles(rng):
     ],
 )
 def test_questions_without_an_answer(start, goal, message):
-    layers = plain(30, keep_out=[box(0, 30, 14, 16), Region.disc(5.0, 5.0, 1.0)])
+    layers = plain(30, keep_out=[box(0, 30, 14, 16), sf.Region.disc(5.0, 5.0, 1.0)])
     for ask in (route, lambda *question: routes(*question, 2)):
-        refuses(ModelError, message, ask, layers, start, goal)
+        refuses(sf.ModelError, message, ask, layers, start, goal)
 
 
 def test_ground_that_friction_does_not_hold_separates_places():
@@ -429,8 +427,8 @@ def test_fewer_poses_if_equations_are_not_compiled_in_time(monkeypatch, tmp_path
 def test_a_large_map_is_coarsened(monkeypatch, tmp_path):
     monkeypatch.setenv("SLIPFREE_CACHE", str(tmp_path))  # so many poses are compiled
     axis = np.arange(2000) * 0.25
-    grid = Grid(axis, axis, 0.1 * np.sin(0.1 * axis)[:, None] * np.cos(0.07 * axis))
-    layers = traversability(Bicubic(grid), ROVER)
+    grid = sf.Grid(axis, axis, 0.1 * np.sin(0.1 * axis)[:, None] * np.cos(0.07 * axis))
+    layers = traversability(sf.Bicubic(grid), ROVER)
     assert layers.cost.shape == (8, 1429, 1429)
     inner = np.minimum(layers.x, axis[-1] - layers.x) >= REACH
     assert (np.isfinite(layers.cost) == inner[:, None] & inner).all()

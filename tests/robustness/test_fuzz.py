@@ -13,18 +13,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+import slipfree as sf
 from helpers.cases import ROOT
 from helpers.commands import refuses
 from helpers.fuzz_checks import READ, REFUSED, judged, judged_silently
 from helpers.fuzz_damage import Case
 from helpers.fuzz_files import KINDS, SILENT_KINDS, bases, document, drawn, results
 from slipfree.cli import app
-from slipfree.core.errors import DataError
 from slipfree.files import netcdf
-from slipfree.files.maps.elevation import read_map
 from slipfree.files.toml import ProblemError
 from slipfree.files.vehicle_toml import open_file
-from slipfree.problem.load import load_problem
 from slipfree.problem.result import problem_of
 
 pytestmark = pytest.mark.slow
@@ -84,9 +82,9 @@ def test_no_file_beside_a_raster_changes_it(seed: int, tmp_path: Path) -> None:
     found = []
     for folder in (whole, alone):
         try:
-            grid, *facts = read_map(Path(folder) / case.main, fill="linear")
+            grid, *facts = sf.read_map(Path(folder) / case.main, fill="linear")
             found.append((grid.x.tolist(), grid.y.tolist(), grid.z.tolist(), facts))
-        except DataError as error:
+        except sf.DataError as error:
             found.append(str(error).replace(folder, ""))
     assert found[0] == found[1]
 
@@ -133,7 +131,7 @@ def test_any_bytes_are_refused(raw: bytes, ending: str, tmp_path: Path) -> None:
 def test_toml_beyond_reason_is_refused_at_once(text: str, words: str, tmp_path: Path) -> None:
     file = tmp_path / "p.toml"
     file.write_text(text)
-    for reader in (load_problem, open_file):
+    for reader in (sf.load_problem, open_file):
         begin = time.process_time()
         with pytest.raises(ProblemError, match=words) as caught:
             reader(file)
@@ -164,7 +162,7 @@ def test_a_long_text_of_dots_is_no_long_key(tmp_path: Path) -> None:
 def test_integers_beyond_all_floats_are_no_numbers(tmp_path: Path) -> None:
     file = tmp_path / "p.toml"
     file.write_text(document({**bases("plan")[0], "goal": {"x": 10**400, "y": [0, 10**400]}}))
-    refuses(ProblemError, r"goal.x: expected a number.*\n.*goal.y: expected", load_problem, file)
+    refuses(ProblemError, r"goal.x: expected a number.*\n.*goal.y: expected", sf.load_problem, file)
 
 
 @pytest.mark.parametrize("name", ["..", "a\0b", "/etc/passwd"])
@@ -232,4 +230,4 @@ def test_arrays_of_python_objects_are_refused(tmp_path: Path) -> None:
             return pytest.fail, ("the pickle was loaded",)
 
     np.savez(tmp_path / "g.npz", x=np.array([Trap()], object), y=np.arange(4.0), z=np.eye(4))
-    refuses(DataError, "allow_pickle=False", read_map, tmp_path / "g.npz")
+    refuses(sf.DataError, "allow_pickle=False", sf.read_map, tmp_path / "g.npz")

@@ -15,15 +15,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 import slipfree.__main__ as entry
 from helpers.cases import BOUNDED_RATES, PROBLEMS, hills, straight_on
 from helpers.commands import error_of, invoke, press, pressing, sets
 from helpers.problem_files import PROBLEM
 from helpers.toy_models import model
-from slipfree import Analytic, SolverOptions, direct_kinematics, settle
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Nlp
-from slipfree.core.trajectory import SolverError
 from slipfree.files import netcdf
 from slipfree.files.tables import write_rows
 from slipfree.fit import prediction
@@ -31,8 +30,6 @@ from slipfree.plan import ipopt, search, tracking, verification
 from slipfree.plan import plan as planning
 from slipfree.plan.ipopt import solve_nlp
 from slipfree.plan.mpc import horizon
-from slipfree.plan.search import Search
-from slipfree.plan.transcription import Mesh
 from slipfree.plan.verification import simulate_plan
 from slipfree.problem.verbs import base as runner
 from slipfree.problem.verbs import compare
@@ -153,9 +150,9 @@ def test_another_thread_leaves_the_handler_alone():
 
 def moved(method="cvodes", progress=None):
     dae = model(lambda _t, x, u: u - x)
-    start, inputs = settle(dae, x=0.0), dae.inputs(push=1.0)
+    start, inputs = sf.settle(dae, x=0.0), dae.inputs(push=1.0)
     return simulate.simulate(
-        dae, start, inputs, T, options=SolverOptions(method=method), progress=progress
+        dae, start, inputs, T, options=sf.SolverOptions(method=method), progress=progress
     )
 
 
@@ -216,7 +213,7 @@ def test_between_the_samples_of_a_controller(monkeypatch):
     monkeypatch.setattr(simulate, "suppress_messages", swallowing)
     dae = model(lambda _t, _x, u: u)
     with pytest.raises(KeyboardInterrupt):
-        simulate.simulate_sampled(dae, settle(dae, x=1.0), dae.inputs(push=1.0), T)
+        simulate.simulate_sampled(dae, sf.settle(dae, x=1.0), dae.inputs(push=1.0), T)
     assert len(calls) == 1
 
 
@@ -225,13 +222,13 @@ def test_between_the_samples_of_a_controller(monkeypatch):
 
 def planned(progress=None):
     return planning.plan(
-        *straight_on(three_wheeler(axle="fixed"), Analytic(hills), 0.4, T),
+        *straight_on(three_wheeler(axle="fixed"), sf.Analytic(hills), 0.4, T),
         goal={"y": 0.2},
         costs={"effort": 0.01},
         duration=2.0,
         inputs=BOUNDED_RATES,
-        mesh=Mesh(3, accuracy=1.0),
-        search=Search(progress=progress),
+        mesh=sf.Mesh(3, accuracy=1.0),
+        search=sf.Search(progress=progress),
     )
 
 
@@ -489,7 +486,7 @@ def test_a_plan_interrupted_after_its_search_is_kept(folder, monkeypatch, where)
 
 def test_a_plan_whose_verification_fails_is_kept(folder, monkeypatch):
     def fail(*_, **__):
-        raise SolverError("IDA_CONV_FAIL")
+        raise sf.SolverError("IDA_CONV_FAIL")
 
     monkeypatch.setattr(verification, "simulate_plan", fail)
     found = run(*PLAN, "-o", "p.nc")
@@ -536,11 +533,11 @@ def test_a_comparison_keeps_its_finished_vehicles(monkeypatch):
 
 
 def test_a_tracking_keeps_its_cycles(monkeypatch):
-    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
+    dae = sf.direct_kinematics(three_wheeler(axle="fixed"), sf.Analytic(hills))
     pressed, _ = pressing(tracking._drive, at=3)
     monkeypatch.setattr(tracking, "_drive", pressed)
     frame = horizon(planned(), span=1.0)
-    world = tracking.TrackingWorld(dae, None, settle(dae))
+    world = tracking.TrackingWorld(dae, None, sf.settle(dae))
     controller = tracking.Replanning(frame, period=0.25)
     with interrupt.held_interrupt():
         found = tracking.track_plan(controller, world, duration=2.0)

@@ -16,17 +16,10 @@ from helpers.rounding import root
 from helpers.toy_models import model, toy
 from slipfree import plan as search
 from slipfree.catalog import three_wheeler
-from slipfree.core.dae import Continuation, Dae, PiecewiseLinear
-from slipfree.core.errors import ModelError
+from slipfree.core.dae import Continuation, PiecewiseLinear
 from slipfree.core.newton import solve_equations, solve_linear
 from slipfree.core.records import leaves
-from slipfree.core.trajectory import (
-    IPOPT_STATUSES,
-    SUNDIALS_FLAGS,
-    SolverError,
-    ipopt_words,
-    sundials_words,
-)
+from slipfree.core.trajectory import IPOPT_STATUSES, SUNDIALS_FLAGS, ipopt_words, sundials_words
 from slipfree.plan.mpc import first_cycle, horizon
 from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
 from slipfree.plan.verification import _compare
@@ -77,7 +70,7 @@ def test_steps_that_do_not_advance_end_the_call():
     observer = StepObserver(InterruptGuard())
     for t in [*np.linspace(0, 1e-9, 500), *np.full(1 + STALLED_STEPS, 3.0)]:
         observer.observe(t, 1.0, 1.0)
-    refuses(SolverError, "shorter than the rounding", observer.observe, 3.0, 1.0, 1.0)
+    refuses(sf.SolverError, "shorter than the rounding", observer.observe, 3.0, 1.0, 1.0)
 
 
 def test_a_limit_ends_the_motion_at_its_crossing():
@@ -96,11 +89,11 @@ def test_a_limit_ends_the_motion_at_its_crossing():
 @pytest.mark.slow
 def test_a_motion_that_goes_to_infinity_is_told_of():
     dae, t = model(lambda _t, x, u: x**2 + u), np.linspace(0, 2, 21)
-    with pytest.raises(SolverError, match=r"stopped at t = (0\.99|1)") as caught:
+    with pytest.raises(sf.SolverError, match=r"stopped at t = (0\.99|1)") as caught:
         sf.simulate(dae, sf.settle(dae, x=1.0), dae.inputs(push=0.0), t)
     assert "steps have become shorter" in str(caught.value)
     assert caught.value.trajectory["x"][-1] > 50
-    with pytest.raises(SolverError, match=r"stopped at t = 0\.9"):
+    with pytest.raises(sf.SolverError, match=r"stopped at t = 0\.9"):
         simulate_sampled(dae, sf.settle(dae, x=1.0), dae.inputs(push=0.0), t)
 
 
@@ -142,10 +135,12 @@ def test_what_a_method_cannot_do_is_refused():
         np.arange(3) * 0.1,
     )
     start, given = sf.settle(dae), dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
-    with pytest.raises(ModelError, match=r"'cvodes' cannot solve for the \d+ algebraic unknowns"):
+    with pytest.raises(
+        sf.ModelError, match=r"'cvodes' cannot solve for the \d+ algebraic unknowns"
+    ):
         sf.simulate(dae, start, given, t, options=sf.SolverOptions(method="cvodes"))
-    refuses(ModelError, r"sampled controller, found \d+", simulate_sampled, dae, start, given, t)
-    refuses(ModelError, "'cvodes' or 'explicit', found str 'rk'", sf.SolverOptions, method="rk")
+    refuses(sf.ModelError, r"sampled controller, found \d+", simulate_sampled, dae, start, given, t)
+    refuses(sf.ModelError, "'cvodes' or 'explicit', found str 'rk'", sf.SolverOptions, method="rk")
     dae = model(lambda _t, _x, u: u)
     slope, idas = (
         PiecewiseLinear(np.zeros(2), np.ones(2)),
@@ -158,7 +153,7 @@ def test_what_a_method_cannot_do_is_refused():
         ([0.0, 0.1, 0.3], 0.0, {}, "t: "),
         ([0.0, np.nan], 0.0, {}, "t: "),
     ):
-        with pytest.raises(ModelError, match=words):
+        with pytest.raises(sf.ModelError, match=words):
             simulate_sampled(
                 dae, sf.settle(dae, x=0.0), dae.inputs(push=push), np.array(times), **options
             )
@@ -294,7 +289,7 @@ def test_a_fold_is_found_whatever_the_size_of_its_jump(size):
 GROUND = sf.Analytic(lambda x, y: 0.1 * x * y)
 
 
-def _periodic(dae: Dae, **limits: tuple[float, float]) -> set[str]:
+def _periodic(dae: sf.Dae, **limits: tuple[float, float]) -> set[str]:
     x = sf.settle(dae, heading=0.4)
     found = periodic_states(dae, dae.rows("x", x, 0), limits_of(dae, limits))
     return {label.full for label, each in zip(leaves(dae.labels.x), found, strict=True) if each}
