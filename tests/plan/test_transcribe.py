@@ -14,13 +14,14 @@ from helpers.commands import refuses
 from helpers.toy_models import task, toy
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
+from slipfree.core.lookups import evaluate, evaluate_by_columns, evaluate_lanes
 from slipfree.core.records import Label
 from slipfree.plan.constraints import conflicts
 from slipfree.plan.explanation import violations
 from slipfree.plan.ipopt import solve_program
 from slipfree.plan.polynomial_motion import first_intervals, joined_motions
 from slipfree.plan.problem import task_of
-from slipfree.plan.sparse_assembly import _evaluate_by_columns, assemble, nlp_block
+from slipfree.plan.sparse_assembly import assemble, nlp_block
 from slipfree.plan.transcription import CollocationMesh, Cost, TimedCondition, completed, transcribe
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.windows import plan_windows
@@ -246,7 +247,7 @@ def branches(a, b):
     return ca.if_else(a > b, ca.fmin(a, 0.3) * ca.sin(b), ca.floor(3 * a) / (1 + b**2) + 2)
 
 
-@pytest.mark.parametrize("count", [1, 50])
+@pytest.mark.parametrize("count", [1, 300])
 def test_columns_are_what_one_number_after_the_other_gives(count, rng):
     v, q = ca.SX.sym("v", 2), ca.SX.sym("q")
     value = branches(v[0], v[1]) * q
@@ -254,7 +255,7 @@ def test_columns_are_what_one_number_after_the_other_gives(count, rng):
     f = ca.Function("f", [v, q], results)
     columns = [ca.MX.sym(name, count) for name in "ab"]
     q_all = ca.MX.sym("q")
-    found = _evaluate_by_columns(f, [columns, [q_all]])
+    found = evaluate_by_columns(f, [columns, [q_all]])
     full = [
         ca.horzcat(*(e if e.numel() == count else ca.repmat(e, count) for e in each))
         for each in found
@@ -264,6 +265,8 @@ def test_columns_are_what_one_number_after_the_other_gives(count, rng):
     for k in range(count):
         for one, every in zip(f(at[k], factor), together, strict=True):
             assert_array_equal(np.array(every[k, :]).ravel(), np.array(one.nonzeros()))
+    lanes = at.T, np.full((1, count), factor)
+    assert_array_equal(evaluate_lanes(f, *lanes), evaluate(f, *lanes)[0])
 
 
 def test_rows_with_the_same_index_are_summed(rng):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import subprocess
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache
 from pathlib import Path
@@ -19,7 +20,7 @@ import numpy as np
 
 from slipfree.batch.graph import Graph, Graphs, graphs_of
 from slipfree.core.dae import Dae
-from slipfree.core.lookups import CellBounds, Cells, evaluate
+from slipfree.core.lookups import WIDTH, CellBounds, Cells, evaluate, evaluate_lanes
 from slipfree.core.records import Array
 from slipfree.system.codegen_cache import compiler, shared_library
 
@@ -29,6 +30,7 @@ LANES = (("__AVX512F__", 8), ("__AVX__", 4))  # doubles in a register, by macro 
 PORTABLE_LANES = 2  # on other machines
 PROBE_TIMEOUT = 20.0  # [s]
 BLOCK = 256  # lanes of a call of compiled steps, of less than a second; divisible by all of LANES
+MANY = 4000  # lanes after which CasADi evaluates a graph by `evaluate_lanes`
 OPERATORS = {
     ca.OP_ADD: "{}+{}",
     ca.OP_SUB: "{}-{}",
@@ -71,6 +73,7 @@ class EvaluatorOf(Generic[G]):
 
     def __init__(self, graphs: G) -> None:
         self.graphs = graphs
+        self._evaluated = Counter[str]()  # lanes of each graph
 
     def __call__(self, graph: Graph, states: Array) -> Array:
         """Return the results of a graph, shape (n_results, n).
@@ -80,13 +83,15 @@ class EvaluatorOf(Generic[G]):
         if not states.shape[1]:
             return np.empty((graph.function.numel_out(0), 0))
         results = np.zeros((graph.function.size1_in(1), states.shape[1]))
+        self._evaluated[graph.name] += states.shape[1]
+        is_many = self._evaluated[graph.name] > MANY and states.shape[1] > WIDTH / 4
+        run = evaluate_lanes if is_many else lambda *given: evaluate(*given)[0]
         row = 0
         for lookup, argument in zip(graph.lookups, graph.arguments, strict=True):
-            (at,) = evaluate(argument, states, results)
-            (values,) = evaluate(lookup.function, at)
+            (values,) = evaluate(lookup.function, run(argument, states, results))
             results[row : row + len(values)] = values
             row += len(values)
-        return evaluate(graph.function, states, results)[0]
+        return run(graph.function, states, results)
 
     def drive(self, *_: Any) -> bool:
         """Fill in the results of motions if there are compiled steps; return whether there are."""

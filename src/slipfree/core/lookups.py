@@ -20,6 +20,9 @@ import numpy as np
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 
+WIDTH = 256  # points at once; their numbers stay in the cache of the processor
+Columns = Sequence[ca.MX]
+
 
 class Cells(NamedTuple):
     """Cells of a bicubic spline, from which compiled code looks up polynomials."""
@@ -223,6 +226,87 @@ def evaluate(function: ca.Function, *columns: Array) -> tuple[Array, ...]:
     results = [np.empty((count, function.nnz_out(k))) for k in range(function.n_out())]
     run_buffered(mapped, dict(enumerate(columns)), dict(enumerate(results)))
     return tuple(each.T for each in results)
+
+
+def evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
+    """Evaluate an SX function by applying its operations to columns of numbers, one per point.
+
+    Entries of arguments and structurally nonzero entries of results are MX columns or scalars.
+    """
+    if function.find_functions():
+        name = function.find_functions()[0].name()
+        raise ModelError(
+            "plan: expected ground lookups whose arguments are SX expressions without function "
+            f"calls, found a call of {name!r}; write this function as an SX expression"
+        )
+    work: dict[int, ca.MX] = {}
+    results = [[ca.MX(0)] * function.nnz_out(k) for k in range(function.n_out())]
+    for operation, source, target, constant in zip(*_instructions_of(function), strict=True):
+        if operation == ca.OP_INPUT:
+            work[target[0]] = arguments[source[0]][source[1]]
+        elif operation == ca.OP_OUTPUT:
+            results[target[0]][target[1]] = work[source[0]]
+        elif operation == ca.OP_CONST:
+            work[target[0]] = ca.MX(constant)
+        elif len(source) == 1:
+            work[target[0]] = ca.MX.unary(operation, work[source[0]])
+        else:
+            work[target[0]] = ca.MX.binary(operation, work[source[0]], work[source[1]])
+    return results
+
+
+@lru_cache(maxsize=32)
+def _instructions_of(
+    function: ca.Function,
+) -> tuple[list[int], list[list[int]], list[list[int]], list[float]]:
+    """Return operations, indices of arguments and results, and constants of a function; cached."""
+    each = range(function.n_instructions())
+    operations = list(map(function.instruction_id, each))
+    constants = [
+        function.instruction_constant(k) if operations[k] == ca.OP_CONST else 0.0 for k in each
+    ]
+    sources = list(map(function.instruction_input, each))
+    return operations, sources, list(map(function.instruction_output, each)), constants
+
+
+def split_columns(rows: ca.MX) -> Columns:
+    """Return the columns of a matrix, which may have none."""
+    return ca.horzsplit(rows) if rows.shape[1] else []
+
+
+def repeat_constants(results: Sequence[Columns], count: int) -> list[ca.MX]:
+    """Return each result as one column, with scalar entries repeated for all ``count`` points."""
+    return [
+        ca.vertcat(
+            ca.MX(0, 1),
+            *(each if each.numel() == count else ca.repmat(each, count) for each in entries),
+        )
+        for entries in results
+    ]
+
+
+def evaluate_lanes(function: ca.Function, *columns: Array) -> Array:
+    """Return the result of an SX function at many points, shape (nnz, n), as `evaluate` does.
+
+    Operations are applied to `WIDTH` points at once, which takes a fifth of the time, after the
+    first call, which is as slow as the evaluation of thousands of points.
+    """
+    together, count = _lanes_of(function), columns[0].shape[1]
+    found = np.empty((function.nnz_out(0), count))
+    for begin in range(0, count, WIDTH):
+        lanes = np.minimum(np.arange(begin, begin + WIDTH), count - 1)  # the last one repeated
+        part = np.empty((function.nnz_out(0), WIDTH))
+        given = {k: each[:, lanes].T for k, each in enumerate(columns)}
+        run_buffered(together, given, {0: part})
+        found[:, begin : begin + WIDTH] = part[:, : count - begin]
+    return found
+
+
+@lru_cache(maxsize=32)
+def _lanes_of(function: ca.Function) -> ca.Function:
+    symbols = [ca.MX.sym("a", WIDTH, function.nnz_in(k)) for k in range(function.n_in())]
+    found = evaluate_by_columns(function, [*map(split_columns, symbols)])
+    return ca.Function(function.name(), symbols, repeat_constants(found[:1], WIDTH))
 
 
 def run_buffered(

@@ -17,14 +17,20 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.core.errors import ModelError
-from slipfree.core.lookups import Lookup, check_order, found_column, needed_lookups
+from slipfree.core.lookups import (
+    Lookup,
+    check_order,
+    evaluate_by_columns,
+    found_column,
+    needed_lookups,
+    repeat_constants,
+    split_columns,
+)
 from slipfree.core.records import Array
 from slipfree.system.codegen_cache import compiled_functions
 
 Index = npt.NDArray[np.intp]
 DERIVATIVE_ORDER = 4  # of the ground height: two in the model, two more in the Hessian
-Columns = Sequence[ca.MX]
 BlockFunctions = tuple[ca.Function, ca.Function, ca.Function, ca.Function, ca.Function]
 # results of the functions of a block, by rows and columns: unknowns "v", rows "g", or one
 RESULTS = {
@@ -147,8 +153,8 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
             own = [_gather(v, each.variable_indices), ca.MX(ca.DM(each.constants)), p.T]
             lookups = ca.MX(count, 0)
             for argument, lookup in each.lookups:
-                by_columns = _evaluate_by_columns(argument, [*map(_split_columns, [*own, lookups])])
-                asked = ca.reshape(_repeat_constants(by_columns, count)[0], count, -1)
+                by_columns = evaluate_by_columns(argument, [*map(split_columns, [*own, lookups])])
+                asked = ca.reshape(repeat_constants(by_columns, count)[0], count, -1)
                 lookups = ca.horzcat(lookups, lookup.map(count)(asked.T).T)
             own.append(lookups)
             if of_hessian:
@@ -189,53 +195,8 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
     )
 
 
-def _evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
-    """Evaluate an SX function by applying its operations to columns of numbers, one per point.
-
-    Entries of arguments and structurally nonzero entries of results are MX columns or scalars.
-    """
-    if function.find_functions():
-        name = function.find_functions()[0].name()
-        raise ModelError(
-            "plan: expected ground lookups whose arguments are SX expressions without function "
-            f"calls, found a call of {name!r}; write this function as an SX expression"
-        )
-    work: dict[int, ca.MX] = {}
-    results = [[ca.MX(0)] * function.nnz_out(k) for k in range(function.n_out())]
-    for operation, source, target, constant in instructions_of(function):
-        if operation == ca.OP_INPUT:
-            work[target[0]] = arguments[source[0]][source[1]]
-        elif operation == ca.OP_OUTPUT:
-            results[target[0]][target[1]] = work[source[0]]
-        elif operation == ca.OP_CONST:
-            work[target[0]] = ca.MX(constant)
-        elif len(source) == 1:
-            work[target[0]] = ca.MX.unary(operation, work[source[0]])
-        else:
-            work[target[0]] = ca.MX.binary(operation, work[source[0]], work[source[1]])
-    return results
-
-
-@lru_cache(maxsize=32)
-def instructions_of(function: ca.Function) -> list[tuple[int, list[int], list[int], float]]:
-    """Return operations, indices of arguments and results, and constants of a function; cached."""
-    return [
-        (
-            operation := function.instruction_id(k),
-            function.instruction_input(k),
-            function.instruction_output(k),
-            function.instruction_constant(k) if operation == ca.OP_CONST else 0.0,
-        )
-        for k in range(function.n_instructions())
-    ]
-
-
 def _gather(values: ca.MX, where: Index) -> ca.MX:
     return ca.reshape(values[where.T.ravel().tolist()], *where.shape)
-
-
-def _split_columns(rows: ca.MX) -> Columns:
-    return ca.horzsplit(rows) if rows.shape[1] else []
 
 
 def _evaluate_everywhere(f: ca.Function, each: NlpBlock, arguments: Sequence[ca.MX]) -> list[ca.MX]:
@@ -243,21 +204,10 @@ def _evaluate_everywhere(f: ca.Function, each: NlpBlock, arguments: Sequence[ca.
     count = len(each.variable_indices)
     if f.is_a("SXFunction") and not f.find_functions():
         # Ten times as fast as calling CasADi's interpreter point by point.
-        return _repeat_constants(_evaluate_by_columns(f, [*map(_split_columns, arguments)]), count)
+        return repeat_constants(evaluate_by_columns(f, [*map(split_columns, arguments)]), count)
     same = [k for k, rows in enumerate(arguments) if rows.shape[0] == 1 < count]
     results = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])
     return [ca.vec(ca.reshape(part.nz[:], -1, count).T) for part in results]
-
-
-def _repeat_constants(results: Sequence[Columns], count: int) -> list[ca.MX]:
-    """Return each result as one column, with scalar entries repeated for all ``count`` points."""
-    return [
-        ca.vertcat(
-            ca.MX(0, 1),
-            *(each if each.numel() == count else ca.repmat(each, count) for each in entries),
-        )
-        for entries in results
-    ]
 
 
 def _sum_entries(
