@@ -556,10 +556,43 @@ def export_path(file: Path, out: Path) -> None:
         If the result cannot be read or has no x, y, z, if ``out`` has another ending or is the
         result file, if a GeoJSON path has a single sample, or if ``out`` cannot be written.
     """
-    run, writers = read(file), {".csv": _write_path, ".geojson": _write_geojson}
+    run = read(file)
     check_motion(file, run, "xyz")
-    check_name(out, file, writers)
-    writers[out.suffix.lower()](run, out)
+    check_name(out, file, (".csv", ".geojson"))
+    crs, places = run.attributes.get("map_crs", ""), map_positions(run)
+    if out.suffix.lower() == ".csv":
+        words = f"of the platform's centre on the map ({crs or 'no reference system given'})"
+        columns = {
+            name: Column(Label(name, unit, f"{name} {words}"), values)
+            for name, (unit, values) in places.items()
+        }
+        columns |= {name: run.columns[name] for name in ANGLES if name in run.columns}
+        write_csv(out, replace(run, columns=columns))
+        return
+    if run.t.size < 2:
+        raise DataError(
+            f"{out}: expected a motion of at least two samples for a LineString, found one; "
+            "write a .csv file instead"
+        )
+    positions = [values.tolist() for _, values in places.values()]
+    feature = {
+        "type": "Feature",
+        "properties": {
+            "title": run.attributes.get("title", "path"),
+            "reference_system": crs or "not given: coordinates of the map file",
+            "time_s": run.t.tolist(),
+            FRAME: run.attributes.get(FRAME, "paper"),
+            **{f"{n}_rad": run[n].tolist() for n in ANGLES if n in run.columns},
+        },
+        "geometry": {"type": "LineString", "coordinates": [*zip(*positions, strict=True)]},
+    }
+    content: dict[str, Any] = {"type": "FeatureCollection", "features": [feature]}
+    if crs not in ("", WGS84):
+        code = re.fullmatch(r"EPSG:(\d+)", crs)
+        name = f"urn:ogc:def:crs:EPSG::{code[1]}" if code else crs
+        content["crs"] = {"type": "name", "properties": {"name": name}}
+    with regular_files.replacing(out) as part:
+        part.write_text(json.dumps(content) + "\n", encoding="utf-8")
 
 
 def export_rates(file: Path, out: Path) -> None:
@@ -609,44 +642,3 @@ def check_name(out: Path, file: Path, endings: Collection[str]) -> None:
         raise DataError(
             f"{out}: expected a separate file, found the result file; choose another name"
         )
-
-
-def _write_path(run: Trajectory, out: Path) -> None:
-    crs = run.attributes.get("map_crs", "no reference system given")
-    columns = {
-        name: Column(
-            Label(name, unit, f"{name} of the platform's centre on the map ({crs})"), values
-        )
-        for name, (unit, values) in map_positions(run).items()
-    }
-    attitude = {name: run.columns[name] for name in ANGLES if name in run.columns}
-    write_csv(out, replace(run, columns=columns | attitude))
-
-
-def _write_geojson(run: Trajectory, out: Path) -> None:
-    """Write the path as a GeoJSON LineString in map coordinates."""
-    if run.t.size < 2:
-        raise DataError(
-            f"{out}: expected a motion of at least two samples for a LineString, found one; "
-            "write a .csv file instead"
-        )
-    crs = run.attributes.get("map_crs", "")
-    positions = [values.tolist() for _, values in map_positions(run).values()]
-    feature = {
-        "type": "Feature",
-        "properties": {
-            "title": run.attributes.get("title", "path"),
-            "reference_system": crs or "not given: coordinates of the map file",
-            "time_s": run.t.tolist(),
-            FRAME: run.attributes.get(FRAME, "paper"),
-            **{f"{n}_rad": run[n].tolist() for n in ANGLES if n in run.columns},
-        },
-        "geometry": {"type": "LineString", "coordinates": [*zip(*positions, strict=True)]},
-    }
-    content: dict[str, Any] = {"type": "FeatureCollection", "features": [feature]}
-    if crs not in ("", WGS84):
-        code = re.fullmatch(r"EPSG:(\d+)", crs)
-        name = f"urn:ogc:def:crs:EPSG::{code[1]}" if code else crs
-        content["crs"] = {"type": "name", "properties": {"name": name}}
-    with regular_files.replacing(out) as part:
-        part.write_text(json.dumps(content) + "\n", encoding="utf-8")

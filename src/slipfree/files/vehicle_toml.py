@@ -583,7 +583,6 @@ def read_toml(file: File) -> Draft:
     table: VehicleTable = validated(VehicleTable, file)
     faults = [
         *starmap(toml.Fault, tree.part_faults(table.coordinates, table.joints, table.wheels, ADD)),
-        *_loop_errors(table),
         *_part_errors(table),
         *couple_errors(table.couple, [joint.name for joint in table.joints]),
     ]
@@ -636,22 +635,8 @@ def _differential_errors(table: VehicleTable) -> Iterator[toml.Fault]:
             yield toml.Fault(("couple", name), expected, found)
 
 
-def _loop_errors(table: VehicleTable) -> Iterator[toml.Fault]:
-    """Yield an error for each loop of parents."""
-    parents = {joint.name: joint.parent for joint in table.joints}
-    reported: set[str] = set()
-    for index, joint in enumerate(table.joints):
-        chain = [joint.name]
-        while parents.get(chain[-1]) not in (None, *chain):
-            chain.append(parents[chain[-1]])
-        if parents.get(chain[-1]) == joint.name and joint.name not in reported:
-            reported |= set(chain)
-            found = f"a loop: {' on '.join((*chain, joint.name))}; cut the loop at one joint"
-            yield toml.Fault(("joints", index, "parent"), "a tree with the root 'platform'", found)
-
-
 def _part_errors(table: VehicleTable) -> Iterator[toml.Fault]:
-    """Yield errors in names, in limits of coordinates and their units, and in sizes of wheels."""
+    """Yield errors in names, limits of coordinates and their units, parents, sizes of wheels."""
     slides = {
         name for joint in table.joints if joint.motion == "slide" for name in _names_in(joint.value)
     }
@@ -672,6 +657,16 @@ def _part_errors(table: VehicleTable) -> Iterator[toml.Fault]:
         unit = "m" if c.name in slides else "rad"
         units = dict.fromkeys(values, unit) | {"max_rate": f"{unit} s-1"}
         yield from toml.unit_faults(("coordinates", index), values, units)
+    parents = {joint.name: joint.parent for joint in table.joints}
+    in_loops: set[str] = set()
+    for index, joint in enumerate(table.joints):
+        chain = [joint.name]
+        while parents.get(chain[-1]) not in (None, *chain):
+            chain.append(parents[chain[-1]])
+        if parents.get(chain[-1]) == joint.name and joint.name not in in_loops:
+            in_loops |= set(chain)
+            found = f"a loop: {' on '.join((*chain, joint.name))}; cut the loop at one joint"
+            yield toml.Fault(("joints", index, "parent"), "a tree with the root 'platform'", found)
     for index, wheel in enumerate(table.wheels):
         if not re.fullmatch(r"[\w-]+", wheel.name):
             expected = "a name of letters, digits, _ and -"

@@ -8,7 +8,7 @@ for independent runs. Cross-validation predicts each run by constants fitted to 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Any, NamedTuple
 
@@ -17,7 +17,7 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Indices
+from slipfree.core.records import Array
 from slipfree.fit.estimate import (
     EDGES,
     NORMAL_MEDIAN,
@@ -205,6 +205,21 @@ def fit_soil(
         if not interrupt_requested():
             raise
         is_interrupted = True
+    errors = list[QuantityErrors]()
+    for k, name in enumerate(QUANTITIES):
+        known = np.isfinite(runs.values[:, k])
+        if not known.any():
+            continue
+        intervals = []
+        for computed in (nominal, validated):  # runs are drawn for the intervals
+            squares = np.where(known, (computed[:, k] - runs.values[:, k]) ** 2, 0)
+            sums = np.array([[squares[rows].sum(), known[rows].sum()] for rows in rows_of])
+            intervals.append(
+                bootstrap(sums, lambda s: float(np.sqrt(s[:, 0].sum() / max(s[:, 1].sum(), 1))))
+            )
+        measured = runs.values[known, k]
+        numbers_of = measured.size, float(measured.std()), float(spread[k])
+        errors.append(QuantityErrors(name, *numbers_of, *intervals))
     resampled = np.quantile(draws, EDGES, axis=0).T if draws else np.full((values.size, 2), np.nan)
     return SoilFit(
         problem.estimate(values, deviations)._replace(is_interrupted=is_interrupted),
@@ -213,7 +228,7 @@ def fit_soil(
         nominal,
         fitted,
         validated,
-        tuple(_errors(runs, rows_of, spread, nominal, validated)),
+        tuple(errors),
         float(np.nanmedian(deviations / spread)) if np.isfinite(spread).any() else np.nan,
         int((fitted[:, 3] >= size.radius).sum()),
     )
@@ -341,22 +356,3 @@ def _limits(unknown: Unknown, soil: Soil, names: Sequence[str]) -> tuple[float, 
     elif unknown.quantity == "peak_rate":
         high = min(high, 1 / 3 if both else min(soil.peak, 1 - soil.peak))
     return low, high
-
-
-def _errors(
-    runs: WheelRuns, rows_of: Sequence[Indices], spread: Array, nominal: Array, validated: Array
-) -> Iterator[QuantityErrors]:
-    """Yield the errors of the measured quantities; runs are drawn for their intervals."""
-    for k, name in enumerate(QUANTITIES):
-        known = np.isfinite(runs.values[:, k])
-        if not known.any():
-            continue
-        intervals = []
-        for computed in (nominal, validated):
-            squares = np.where(known, (computed[:, k] - runs.values[:, k]) ** 2, 0)
-            sums = np.array([[squares[rows].sum(), known[rows].sum()] for rows in rows_of])
-            intervals.append(
-                bootstrap(sums, lambda s: float(np.sqrt(s[:, 0].sum() / max(s[:, 1].sum(), 1))))
-            )
-        values = runs.values[known, k]
-        yield QuantityErrors(name, values.size, float(values.std()), float(spread[k]), *intervals)

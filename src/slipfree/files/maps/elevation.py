@@ -187,10 +187,18 @@ def read_points(path: Path, ask: raster.Reading) -> Heights:
         lambda _, value: f"remove the lines with z = {value}",
         metres=ask.vertical_scale or 1.0,
     )
-    points, repeated, apart = _distinct(table)
+    # points at equal x and y are averaged, unless that would only round their height
+    places, which = np.unique(table[:, :2], axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    z = np.bincount(which, table[:, 2]) / np.bincount(which)
+    top, bottom = np.full(len(places), -np.inf), np.full(len(places), np.inf)
+    np.maximum.at(top, which, table[:, 2])
+    np.minimum.at(bottom, which, table[:, 2])
+    points = np.column_stack([places, np.where(top == bottom, top, z)])
+    repeated, apart = len(table) - len(points), float((top - bottom).max(initial=0.0))
     if len(points) < 3:
         refuse("at least 3 points with different x, y", f"{len(points)}", "add points")
-    spacing, places = ask.spacing, points[:, :2]
+    spacing = ask.spacing
     # median distance from the nearest neighbours
     distance = float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
     if spacing is None:
@@ -223,20 +231,6 @@ def read_points(path: Path, ask: raster.Reading) -> Heights:
         )
     described = ("ground map", "scattered points"), ("ground points", "; ".join([words, *notes]))
     return Heights(x.nodes(i), y.nodes(j), z, described, geographic=geographic)
-
-
-def _distinct(points: Array) -> tuple[Array, int, float]:
-    """Return points, shape (n, 3), averaged at equal x and y, repetitions and the largest rise."""
-    places, which = np.unique(points[:, :2], axis=0, return_inverse=True)
-    which = which.reshape(-1)
-    z = np.bincount(which, points[:, 2]) / np.bincount(which)
-    repeated = len(points) - len(places)
-    high, low = np.full(len(places), -np.inf), np.full(len(places), np.inf)
-    np.maximum.at(high, which, points[:, 2])
-    np.minimum.at(low, which, points[:, 2])
-    single = high == low  # averaging would round these
-    z[single] = high[single]
-    return np.column_stack([places, z]), repeated, float((high - low).max(initial=0.0))
 
 
 def interpolate_points(

@@ -480,11 +480,22 @@ def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
     # the hemisphere of the zone is in a file beside it
     crs = None if file.driver == "BT" and file.crs and file.crs.is_projected else file.crs
     registration = file.tags().get("AREA_OR_POINT", "Area").lower()
-    x, y, upward = _axes(file)
+    # GDAL's transform maps corners of pixels to coordinates for both registrations:
+    # x = a column + b row + c, y = d column + e row + f
+    a, b, c, d, e, f = tuple(file.transform)[:6]
+    if abs(b) + abs(d) > 1e-12 * (abs(a) + abs(e)) or a <= 0 or e == 0:
+        refuse(
+            "rows that run along x, from west to east",
+            f"a raster that is rotated, sheared or mirrored (x = {a:g} column + {b:g} row + ..., "
+            f"y = {d:g} column + {e:g} row + ...)",
+            "resample it along x and y: gdalwarp in.tif out.tif",
+        )
+    south = f + (e / 2 if e > 0 else e * (file.height - 0.5))
+    x, y = UniformAxis(c + a / 2, a, file.width), UniformAxis(south, abs(e), file.height)
     middle = (axis.first + axis.step * (axis.size - 1) / 2 for axis in (x, y))
     name, geographic = system_name(crs, TO_METRES, *middle)
     geographic |= file.driver == "netCDF" and _in_degrees(file, x, y)
-    return _Place(x, y, upward, registration, name, geographic, placed=True)
+    return _Place(x, y, e > 0, registration, name, geographic, placed=True)
 
 
 def _in_degrees(file: Any, x: UniformAxis, y: UniformAxis) -> bool:
@@ -520,24 +531,6 @@ def _in_degrees(file: Any, x: UniformAxis, y: UniformAxis) -> bool:
                 "write them with the dimensions y, x, without actual_range and GeoTransform",
             )
     return is_degrees
-
-
-def _axes(file: Any) -> tuple[UniformAxis, UniformAxis, bool]:
-    """Return the axes along x and y, and whether the first row is the southernmost.
-
-    GDAL's transform maps corners of pixels to coordinates for both registrations:
-    ``x = a column + b row + c`` and ``y = d column + e row + f``.
-    """
-    a, b, c, d, e, f = tuple(file.transform)[:6]
-    if abs(b) + abs(d) > 1e-12 * (abs(a) + abs(e)) or a <= 0 or e == 0:
-        refuse(
-            "rows that run along x, from west to east",
-            f"a raster that is rotated, sheared or mirrored (x = {a:g} column + {b:g} row + ..., "
-            f"y = {d:g} column + {e:g} row + ...)",
-            "resample it along x and y: gdalwarp in.tif out.tif",
-        )
-    south = f + (e / 2 if e > 0 else e * (file.height - 0.5))
-    return UniformAxis(c + a / 2, a, file.width), UniformAxis(south, abs(e), file.height), e > 0
 
 
 NINES = re.compile(r"-?9{3,}(\.[09]+)?")  # -999, -9999, 99999.9

@@ -145,13 +145,11 @@ class _UrdfElement:
             return default or 1.0
         return value
 
-    def vector(self, key: str, default: Vector) -> Vector:
-        """Return three numbers."""
-        text = self.attributes.get(key)
-        return default if text is None else self.numbers(key, text)
-
-    def numbers(self, key: str, text: str) -> Vector:
-        """Return the three numbers in the text of an attribute; ones if they are invalid."""
+    def vector(self, key: str, default: Vector = ORIGIN, text: str | None = None) -> Vector:
+        """Return the three numbers in a text, by default an attribute; ones if they are invalid."""
+        text = self.attributes.get(key) if text is None else text
+        if text is None:
+            return default
         values = [number_in(number) for number in text.replace(",", " ").split()]
         if len(values) != 3 or not all(map(math.isfinite, values)):
             self.wrong(f"expected three numbers in {key!r}, found {text!r}; correct them")
@@ -163,7 +161,7 @@ class _UrdfElement:
         origin = self.first("origin", "origin")
         if origin is None:
             return ORIGIN, ORIGIN
-        at, turned = origin.vector("xyz", ORIGIN), origin.vector("rpy", ORIGIN)
+        at, turned = origin.vector("xyz"), origin.vector("rpy")
         origin = self.about(origin.element)
         if max(map(abs, at)) > MAX_LENGTH:
             origin.wrong(
@@ -220,7 +218,7 @@ def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> tree.Geo
         # three factors, one for all axes, or a fourth that is ignored
         factors = solid.attributes.get("scale", "1").replace(",", " ").split()
         factors = {1: factors * 3, 4: factors[:3]}.get(len(factors), factors)
-        scale = solid.numbers("scale", " ".join(factors))
+        scale = solid.vector("scale", text=" ".join(factors))
         if not all(scale):
             text = solid.attributes["scale"]
             solid.wrong(
@@ -229,7 +227,7 @@ def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> tree.Geo
         file = solid.attributes.get("filename", solid.attributes.get("uri", ""))
         return tree.MeshFile(file, scale, at, turned)
     if solid is not None and kind == "box":
-        size = solid.vector("size", ORIGIN)
+        size = solid.vector("size")
         if min(size) > 0:
             return Box(size, at, turned)
         kind = "box without size"

@@ -221,30 +221,25 @@ def _tread(along: Array, distance: Array) -> tuple[float, float]:
     low, high = float(along.min()), float(along.max())
     middle, width, radius = (low + high) / 2, high - low, float(distance.max())
     central = np.abs(along - middle) <= 0.4 * width
-    outline = _outline(along[central] - middle, distance[central])
-    if len(outline) < 4:
-        return middle, 0.0
-    # circle about (s, c) of radius t: 2 s a + 2 c d + (t^2 - s^2 - c^2) = a^2 + d^2
-    a, d = outline.T
-    s, c, rest = np.linalg.lstsq(np.column_stack([2 * a, 2 * d, np.ones_like(a)]), a * a + d * d)[0]
-    tube = float(np.sqrt(max(rest + s * s + c * c, 0.0)))
-    error = np.abs(np.hypot(a - s, d - c) - tube).max()
-    if error > FIT * radius or tube > min(width, (1 + FIT) * radius):
-        return middle, 0.0
-    return middle, radius if tube > (1 - FIT) * radius else tube
-
-
-def _outline(along: Array, distance: Array) -> Array:
-    """Return the points of the upper convex outline of a profile, shape (m, 2), in order [m]."""
-    outline: list[tuple[float, float]] = []
-    for a2, d2 in sorted(zip(along.tolist(), distance.tolist(), strict=True)):
+    profile = zip((along[central] - middle).tolist(), distance[central].tolist(), strict=True)
+    outline: list[tuple[float, float]] = []  # upper convex hull
+    for a2, d2 in sorted(profile):
         while len(outline) > 1:
             (a0, d0), (a1, d1) = outline[-2:]
             if (a1 - a0) * (d2 - d0) < (d1 - d0) * (a2 - a0):  # the middle point is above the line
                 break
             outline.pop()
         outline.append((a2, d2))
-    return np.array(outline)
+    if len(outline) < 4:
+        return middle, 0.0
+    # circle about (s, c) of radius t: 2 s a + 2 c d + (t^2 - s^2 - c^2) = a^2 + d^2
+    a, d = np.transpose(outline)
+    s, c, rest = np.linalg.lstsq(np.column_stack([2 * a, 2 * d, np.ones_like(a)]), a * a + d * d)[0]
+    tube = float(np.sqrt(max(rest + s * s + c * c, 0.0)))
+    error = np.abs(np.hypot(a - s, d - c) - tube).max()
+    if error > FIT * radius or tube > min(width, (1 + FIT) * radius):
+        return middle, 0.0
+    return middle, radius if tube > (1 - FIT) * radius else tube
 
 
 def angles_to(axis: Array) -> tuple[float, float, float]:

@@ -453,8 +453,18 @@ def completed(tree: Tree, roles: UrdfTable) -> Tree:
     mimics has a role other than ``"fixed"``.
     """
     for name, role in roles.joints.items():
-        if role.carries:
-            tree = _with_joint(tree, name, role)
+        if not role.carries:
+            continue
+        # a new joint and a new link of the same name carry other joints
+        first, moved_on = tree.joints[role.carries[0]], dict[str, UrdfJoint]()
+        kind, axis = "prismatic" if role.motion == "slide" else "revolute", role.axis or ORIGIN
+        new = UrdfJoint(name, kind, first.parent, name, role.at, axis=axis, line=first.line)
+        for joint in tree.joints.values():
+            if joint.name in role.carries:
+                moved_on.setdefault(name, new)
+                joint = joint._replace(parent=name, at=vector_of(np.asarray(joint.at) - role.at))
+            moved_on[joint.name] = joint
+        tree = replace(tree, links=tree.links | {name: Link(name)}, joints=moved_on)
     joints = dict(tree.joints)
     for name, joint in joints.items():
         if own := roles.joints.get(name):
@@ -494,21 +504,6 @@ def completed(tree: Tree, roles: UrdfTable) -> Tree:
             inertia=mass_role.inertia or link.inertia,
         )
     return replace(tree, joints=joints, links=links)
-
-
-def _with_joint(tree: Tree, name: str, role: JointRole) -> Tree:
-    """Return a URDF with a new joint and a new link of the same name, which carry other joints."""
-    first = tree.joints[role.carries[0]]
-    kind = "prismatic" if role.motion == "slide" else "revolute"
-    axis = role.axis or ORIGIN
-    new = UrdfJoint(name, kind, first.parent, name, role.at, axis=axis, line=first.line)
-    joints: dict[str, UrdfJoint] = {}
-    for joint in tree.joints.values():
-        if joint.name in role.carries:
-            joints.setdefault(name, new)
-            joint = joint._replace(parent=name, at=vector_of(np.asarray(joint.at) - role.at))
-        joints[joint.name] = joint
-    return replace(tree, links=tree.links | {name: Link(name)}, joints=joints)
 
 
 def coupled(tree: Tree, couple: Mapping[str, float]) -> Tree:
