@@ -28,7 +28,6 @@ from slipfree.show.plots import Plot
 from slipfree.show.style import MM, PAGE
 
 SHARE = "RdYlBu"  # colours of the share of headings
-FRICTION = "viridis"
 LEVELS, SHOWN = 9, 98.0  # number of colours of the friction, percentile of the last one
 REASONS = ("#0072B2", "#E69F00", "#CC79A7", "#56B4E9", "#F0E442", "#7F4F24", "#000000")
 ALLOWED_COLOR = "#FFFFFF"
@@ -132,7 +131,7 @@ def _headings(drawn: AtlasView) -> Figure:
 def _friction(drawn: AtlasView) -> Figure:
     figure = _sized(drawn, 2, below=6)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
-    bands, scale = friction_maps(drawn.maps), colormaps[FRICTION]
+    bands, scale = friction_maps(drawn.maps), style.RISK
     values = np.concatenate([band.values.ravel() for band in bands])
     values = values[np.isfinite(values)]
     largest = float(np.percentile(values, SHOWN)) if values.size else 1.0

@@ -33,6 +33,7 @@ LEVEL, DARKEST = 0.9, 0.45  # brightness of level ground and of the darkest slop
 LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)])  # direction to the light: north-west, 45 degrees high
 RELIEF = "#EDE4D6"
 HATCH = "//////"
+TALLEST = 152 * MM  # height of figures of maps [in]
 INSIDE = 0.44  # largest distance of text on a map from its middle [width of the map]
 
 SOLID: dict[str, Any] = {"fc": (0.55, 0.55, 0.55, 0.45), "ec": "black", "lw": 0.8, "zorder": 2}
@@ -154,15 +155,15 @@ def plan_marks(
 
 
 def map_figure(x: Array, y: Array, grid: Grid, pad: float) -> tuple[Figure, Axes, Window]:
-    """Return a figure of a map, its axes, and its window around positions [m].
+    """Return a figure of a map, to be cropped, its axes, and its window around positions [m].
 
     The window is that of `about`, or the whole ground unless this is much larger.
     """
     window, (west, east, south, north) = about(x, y, grid, pad), grid.domain
-    spans = window[1] - window[0], window[3] - window[2]
-    if max(spans[0] / (east - west), spans[1] / (north - south)) >= FAR:
-        window, spans = grid.domain, (east - west, north - south)
-    figure = style.figure(COLUMN, min(92 * MM * spans[1] / spans[0], 120 * MM) + 32 * MM)
+    width, height = window[1] - window[0], window[3] - window[2]
+    if max(width / (east - west), height / (north - south)) >= FAR:
+        window = grid.domain
+    figure = style.figure(COLUMN, TALLEST)
     return figure, figure.subplots(), window
 
 

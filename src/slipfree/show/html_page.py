@@ -35,7 +35,7 @@ MOST = 400_000  # larger vector graphics become raster graphics [bytes]
 PIXELS = 120  # pixels of the page per inch of a figure
 VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # for reproducible pages
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-MAP_PIXELS, MAP_DPI = 1600, 200  # longer side of the map for planning, pixels per inch of its text
+MAP_PIXELS, MAP_DPI = 1600, 400  # longer side of the map for planning, pixels per inch of its text
 
 
 def with_legend(
@@ -237,6 +237,7 @@ def map_image(grid: Grid) -> Content:
     drawn.set_layout_engine("none")
     ax = drawn.add_axes((0, 0, 1, 1))
     muted(grid, ax, grid.domain)
+    drawn.set_facecolor(ax.get_facecolor())  # that of axes without lines is not drawn
     ax.set_axis_off()
     ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="auto")
     stream = BytesIO()

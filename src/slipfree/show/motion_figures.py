@@ -31,7 +31,7 @@ from slipfree.show import ground_drawing, style
 from slipfree.show.atlas_figures import atlas_plots, view_of
 from slipfree.show.ground_drawing import HEATMAP, side_plot
 from slipfree.show.plots import Panel, Plot, PlottedDrive, draw, stack
-from slipfree.show.style import FLAT, MM, PAGE, PLATFORM, STOPPED
+from slipfree.show.style import FLAT, MM, PAGE, PLATFORM, STEEP, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism, Solids
@@ -48,7 +48,6 @@ STILL = 1e-9  # a joint that moves less counts as fixed [rad]
 BELOW: dict[str, Any] = {"color": "0.75", "lw": 2.6, "zorder": 1}  # visible below other lines
 DISTINCT = 0.01  # smallest distance of distinguishable lines [height of the axes]
 INSET = 150  # samples of the small map along an axis
-STEEP = 40.0  # end of the colour scale of slopes [deg]
 AROUND = 0.5  # margin of the ground drawn around a motion [extent of the motion]
 NODES = 101  # of an axis of the ground of a formula
 NOTES = {  # on the slip, by model
@@ -177,9 +176,7 @@ def ground_plot(grid: Grid, place: tuple[float, float] | None = None) -> Plot:
     def make() -> Figure:
         x, y, z = ground_drawing.patch(grid, grid.domain, HEATMAP)
         slope = np.degrees(np.arctan(np.hypot(*np.gradient(z, x[1] - x[0], y[1] - y[0]))))
-        figure = style.figure(
-            PAGE, PAGE * (0.12 + 0.42 * float(np.clip(np.ptp(y) / np.ptp(x), 0.3, 2)))
-        )
+        figure = style.figure(PAGE, PAGE)  # cropped below
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         ground(grid, left)
         how = {"cmap": style.RISK, "vmin": 0.0, "vmax": STEEP, **ground_drawing.extent(x, y)}

@@ -38,7 +38,7 @@ from slipfree.show.meshes import (
     spokes,
     surface,
 )
-from slipfree.show.style import FLAT
+from slipfree.show.style import FLAT, STEEP
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import cut
@@ -52,7 +52,7 @@ ROUND = (1, 1.5, 2, 3, 4, 5, 6, 8, 10)  # round scales of arrows, times a power 
 FULL_SLIP = 0.1  # slip of an arrow of the length `LONGEST`, in all scenes [m/s]
 LEAST = {"slip": 1e-4, "force": 1e-3}  # arrows of smaller vectors are omitted [m/s, N]
 UNITS = {"slip": "m/s", "force": "N"}
-MAPS = {"height": "viridis", "slope": "cividis", "traversability": "YlGnBu_r"}
+HEIGHTS = "viridis"  # colours of heights; all else is coloured by risk
 ARROWS = {"slip": (0, 0, 0), "force": (255, 0, 255)}  # different from the colours of runs
 FAR = 20.0  # the camera follows vehicles on longer paths [reach of the vehicle]
 WORLD = "/world"  # node with the scene; it moves when the camera follows a vehicle
@@ -361,7 +361,7 @@ def rgb(name: str) -> Color:
 
 def layer(name: str, values: Array, legend: str, low: float, high: float) -> Layer:
     """Return the colours of values of a quantity; ``low`` and ``high`` end the colour scale."""
-    scale = colormaps[MAPS[name]] if name in MAPS else style.RISK
+    scale = colormaps[HEIGHTS] if name == "height" else style.RISK
     parts = np.clip((values - low) / max(high - low, style.FLAT), 0, 1)
     ends = tuple(rgb(scale(part)) for part in np.linspace(0, 1, 9))
     return Layer(name, legend, ends, scale(parts, bytes=True)[..., :3])
@@ -482,12 +482,11 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
     poses = [_pose_layer(drawn, first, window)] if with_poses else []
     low, high = float(drawn.values.min()), float(drawn.values.max())
     slope = np.degrees(np.arctan(np.hypot(*np.gradient(drawn.z, *drawn.spacing)))).ravel()
-    steepest = float(slope.max())
     layers = [
         each._replace(colors=np.rint(fine.interpolated(each.colors.astype(float))).astype(np.uint8))
         for each in (
             layer("height", drawn.z.ravel(), f"{low:.4g} to {high:.4g} m", low, high),
-            layer("slope", slope, f"0 to {steepest:.3g} degrees", 0.0, steepest),
+            layer("slope", slope, f"0 to {STEEP:g} deg and more", 0.0, STEEP),
             *poses,
         )
     ]

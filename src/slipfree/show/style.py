@@ -38,6 +38,7 @@ DPI = 200
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito
 # from good to bad: no colour is pale, since tracks have a white edge
 RISK = LinearSegmentedColormap.from_list("risk", ["#1a9850", "#f5c400", "#d7191c"])
+STEEP = 40.0  # end of the colour scale of slopes [deg]
 DASHES = ("-", "--", ":", "-.")  # for lines beyond the palette
 PLATFORM = "black"
 STOPPED = "#D55E00"
@@ -63,11 +64,14 @@ def lay_out(figure: Figure) -> None:
 
 def cropped(figure: Figure, ax: Axes) -> Figure:
     """Lay out the figure of a map, and remove the height that its equal scales leave free."""
-    for _ in range(2):  # the first layout sees the colour bar of wider axes
+    highest = figure.get_figheight()
+    for _ in range(3):  # labels move with the map, and are part of the layout
         lay_out(figure)
         ax.apply_aspect()
-        free = ax.get_position(original=True).height - ax.get_position().height
-        figure.set_figheight((1 - free) * figure.get_figheight())
+        drawn, room = ax.get_position(), ax.get_position(original=True)
+        height = figure.get_figheight()
+        free = height * (room.height - room.width * drawn.height / drawn.width)
+        figure.set_figheight(min(height - free, highest))
     return figure
 
 

@@ -252,10 +252,7 @@ def _simulated_words(facts: Facts, *, is_solved: bool) -> str:
     violations = [f for f in starting_with(VIOLATION, facts).values() if f.value > ROUNDING]
     if not violations:
         return f"{words}; meets all constraints"
-    missed = missed_words(
-        {fact.words: fact.value for fact in violations},
-        {fact.words: fact.unit for fact in violations},
-    )
+    missed = ", ".join(f"{fact.words} by {read(fact)}" for fact in violations)
     accuracy = facts["plan_accuracy"].value
     if all(fact.value <= accuracy for fact in violations):
         return f"{words}; meets all constraints within plan.accuracy, {accuracy:g}: {missed}"
