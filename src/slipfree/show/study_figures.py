@@ -112,12 +112,12 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
 
 def sweep_plots(quantities: Sequence[Swept]) -> list[Plot]:
     """Return the figures of metrics over at most two varied keys."""
-    draw = distribution, curve, heat_map  # by the number of keys
-    panels = (Panel(partial(draw[len(each.axes)], each), SWEPT_HEIGHT) for each in quantities)
-    return [
-        Plot(each.name, "", partial(stack, None, [panel]))
-        for each, panel in zip(quantities, panels, strict=True)
-    ]
+
+    def make(swept: Swept) -> Figure:
+        draw = (distribution, curve, heat_map)[len(swept.axes)]
+        return stack(None, [Panel(partial(draw, swept), SWEPT_HEIGHT)])
+
+    return [Plot(each.name, "", partial(make, each)) for each in quantities]
 
 
 def _over(reduce: Any, values: Array) -> Array:
