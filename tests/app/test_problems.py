@@ -260,6 +260,9 @@ def test_unreadable_files(tmp_path: Path) -> None:
     (found,) = _faults(tmp_path, 'verb = "direct"\nx = 0,5\n')
     assert found.startswith("p.toml:2: expected TOML, found an error in column 6: Expected newline")
     assert found.endswith("; write key = value once on a line, numbers with a decimal point")
+    (found,) = _faults(tmp_path, 'verb = "direct"\nx = \u22120.5\n')
+    assert found.startswith("p.toml:2: ")
+    assert found.endswith("; replace the character '\u2212'")
     with pytest.raises(ProblemError, match=r"no\.toml: expected a problem file.*No such file"):
         load_problem(tmp_path / "no.toml")
     (tmp_path / "p.toml").write_bytes(b'a = 1\nb = "\xff"\n')

@@ -93,6 +93,10 @@ def test_a_package_is_found_in_a_folder_above(tmp_path, monkeypatch):
     outside = written(tmp_path / "else", tricycle(mesh("package://my_robot/meshes/plate.stl")))
     with pytest.raises(VehicleError, match=r"no such file; put its package into .* or a folder"):
         read_vehicle(outside)
+    (urdf / "package.xml").write_text("<package><name>other</name></package>")
+    (urdf / "meshes").symlink_to(urdf.parent / "meshes")
+    named = written(urdf, tricycle(mesh("package://other/meshes/plate.stl")))
+    assert read_vehicle(named).wheels[0].radius == pytest.approx(0.1)
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "robots"))
     assert read_vehicle(outside).wheels[0].radius == pytest.approx(0.1)
 

@@ -521,9 +521,11 @@ def _read_numbers(
         except ValueError:
             values = [math.inf]
         if not all(map(op.or_, map(math.isfinite, values), is_missing)):
-            remedy = (
-                DATES if re.match(r"\d+[-/.]\d+[-/.]\d{2}", text) else "correct or remove the line"
-            )
+            remedy = "correct or remove the line"
+            if re.match(r"\d+[-/.]\d+[-/.]\d{2}", text):
+                remedy = DATES
+            elif re.search(r"\d[.,]\d{3}[.,]\d", text):
+                remedy = "write numbers without separators of thousands"
             raise layout.error(number, text, wanted, remedy)
         rows.append(values)
     return np.array(rows)

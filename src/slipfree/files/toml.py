@@ -337,6 +337,12 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
         place = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", str(error), re.DOTALL)
         if place is not None:
             where, found = f"{path}:{place[2]}", f"an error in column {place[3]}: {place[1]}"
+            lines = [*text.split("\n"), ""]
+            odd = lines[int(place[2]) - 1][int(place[3]) - 1 :][:1]
+            if not odd.isascii():  # quotes, a minus or a blank of a word processor
+                raise ProblemError(
+                    f"{where}: expected TOML, found {found}; replace the character {odd!r}"
+                ) from error
         elif str(error).endswith("(at end of document)"):
             where = f"{path}:{len(text.splitlines()) or 1}"
             found = f"an error at the end: {error}"

@@ -30,6 +30,7 @@ INCLINATIONS = (("roll", 0.2), ("roll", -0.2), ("pitch", 0.2), ("pitch", -0.2)) 
 DIFFERENT_ANGLE = 1e-4  # smallest difference of roll or pitch of two stable poses [rad]
 SPEED = "speed"  # name of the initial speed of a dynamic model
 TIPPING = 0.03  # tip-over margin on the plane under the wheels of a vehicle that tips over [rad]
+ALMOST_LEVEL = 1.0  # slope on which only a wrong centre of mass lets a vehicle tip over [deg]
 CONTACT_TOLERANCE = 1e-15  # relative change of a position at which a contact point is found
 MAX_CONTACT_MISS = 1e-9  # largest distance from a given contact point [size]
 REST_RATE = 1e-5  # largest rate of the relaxing states at rest [size/s]
@@ -123,9 +124,12 @@ def settle(
             failure = error
     if margin < TIPPING:
         slope = np.degrees(np.arccos(np.cos(on_plane["pitch"]) * np.cos(on_plane["roll"])))
+        remedy = "choose a start on a gentler slope, or another heading"
+        if slope < ALMOST_LEVEL:
+            remedy = "correct the centre of mass, which is not above the area between the wheels"
         raise ModelError(
             f"the vehicle tips over at the start, where the ground under its wheels is inclined by "
-            f"{slope:.3g} degrees; choose a start on a gentler slope, or another heading"
+            f"{slope:.3g} degrees; {remedy}"
         )
     raise failure
 

@@ -101,7 +101,8 @@ def unescape_name(text: str) -> str:
 
 def _unreadable(path: Path, expected: str, reason: object) -> DataError:
     if isinstance(reason, ValueError) or reason in [os.strerror(code) for code in WRONG_NAME]:
-        remedy = "check the name"
+        is_url = str(path).startswith(("http:", "https:"))
+        remedy = "download it, and name the file" if is_url else "check the name"
     elif reason == os.strerror(errno.EACCES):
         remedy = "check the permissions of the file and its folders"
     else:

@@ -49,7 +49,9 @@ EXPRESSION = re.compile(r"(?<!\$)\$\{([^{}$]*)\}")
 def package_folders(package: str, folder: Path) -> Iterator[Path]:
     """Yield the possible folders of a ROS package to which a file in ``folder`` refers."""
     for above in (folder.resolve(), *folder.resolve().parents):
-        if above.name == package:
+        manifest = above / "package.xml"
+        is_named = manifest.is_file() and f"<name>{package}</name>" in manifest.read_text("latin-1")
+        if is_named or above.name == package:
             yield above
         yield above / package
     for variable, inside in (("AMENT_PREFIX_PATH", "share"), ("ROS_PACKAGE_PATH", "")):

@@ -165,7 +165,7 @@ def parse_robot(data: bytes, file: str) -> Element:
     inside = [each for part in parts for each in (part, *part.children) if each.tag != "sensor"]
     for each in [*root.children, *(value for part in inside for value in part.children)]:
         is_value = each.texts and not {"value", "link"} & {*each.attributes}
-        if is_value and each.tag in ("static", "pose", "parent", "child", "mass"):
+        if is_value and each.tag in ("static", "pose", "parent", "child"):
             _refuse(f"{file}:{each.line}", "sdf")  # which has values as text
     tags = {each.tag for each in root.children}
     if "link" not in tags and {"group", "virtual_joint", "disable_collisions"} & tags:
