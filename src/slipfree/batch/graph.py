@@ -41,11 +41,11 @@ class Graph(NamedTuple):
     lookups: tuple[Lookup, ...]  # the lookups, in a valid order of evaluation
     # arguments of each lookup, as functions of the same two columns
     arguments: tuple[ca.Function, ...]
-    parts: tuple[slice, ...]  # `StateRows` of each result in the column
+    parts: tuple[slice, ...]  # rows of each result in the column
 
 
 class StateRows(NamedTuple):
-    """StateRows of a state: an array with a row for each variable and a column for each lane.
+    """Rows of a state: an array with a row for each variable and a column for each lane.
 
     ``x``, ``p`` and ``q`` are integrated: the states, the positions (first block of the unknowns),
     and the quadratures that do not depend on forces. ``w`` are the other unknowns of the motion,
@@ -68,7 +68,7 @@ class StateRows(NamedTuple):
 
     @property
     def z(self) -> tuple[slice, slice, slice]:
-        """StateRows of all algebraic unknowns, in their order in the model."""
+        """Rows of all algebraic unknowns, in their order in the model."""
         return self.p, self.w, self.f
 
 
@@ -76,7 +76,7 @@ class Graphs(NamedTuple):
     """Graphs of a model."""
 
     dae: Dae
-    rows: StateRows  # `StateRows` of its states
+    rows: StateRows  # rows of its states
     state: ca.SX  # symbols of a state, shape (n_rows, 1)
     quadratures: tuple[int, ...]  # indices of the quadratures that are integrated
     guess: Graph  # initial guesses of ``p``, ``w`` and ``f``, and of the states that relax

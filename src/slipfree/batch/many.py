@@ -28,7 +28,7 @@ from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae, WheelCheck, invalid_start
 from slipfree.core.errors import ModelError, require
 from slipfree.core.lookups import evaluate as evaluate_at
-from slipfree.core.records import Array, Indices, Label, Mask, leaves
+from slipfree.core.records import Array, Indices, Label, Mask, by_quantity, leaves
 from slipfree.core.trajectory import WHEELS, Column, Outcome, Trajectory
 
 if TYPE_CHECKING:
@@ -526,25 +526,22 @@ def _known_sources(dae: Dae) -> dict[str, Wanted]:
     rows = graphs.rows
     z_rows = [k for part in rows.z for k in range(part.start, part.stop)]
     q_labels = [list(leaves(dae.labels.q))[k] for k in graphs.quadratures]
-    groups = (
+    y, u = list(leaves(dae.labels.y)), list(leaves(dae.labels.u))
+    groups: Any = (
         (leaves(dae.labels.x), range(rows.x.start, rows.x.stop), dae.shift[0], False),
         (leaves(dae.labels.z), z_rows, dae.shift[1], False),
         (q_labels, range(rows.q.start, rows.q.stop), np.zeros(len(q_labels)), False),
-        (leaves(dae.labels.u), range(rows.u.start, rows.u.stop), None, False),
-        (leaves(dae.labels.y), range(len(list(leaves(dae.labels.y)))), None, True),
+        (u, range(rows.u.start, rows.u.stop), np.zeros(len(u)), False),
+        (y, range(len(y)), np.zeros(len(y)), True),
     )
-    known: dict[str, Wanted] = {}
-    for labels, indices, shift, is_output in groups:
-        for k, (label, row) in enumerate(zip(labels, indices, strict=True)):
-            moved = 0.0 if shift is None else float(shift[k])
-            old = known.get(label.name)
-            if old is None:
-                text = label.words.replace(f"wheel {label.wheel}", "the wheel")
-                old = Wanted(Label(label.name, label.unit, text), [], is_output, np.zeros(0), ())
-            wheels = (*old.wheels, label.wheel) if label.wheel is not None else ()
-            known[label.name] = old._replace(
-                rows=[*old.rows, row], shift=np.append(old.shift, moved), wheels=wheels
-            )
+    every: list[Any] = [
+        (*each, is_output) for *group, is_output in groups for each in zip(*group, strict=True)
+    ]
+    known = dict[str, Wanted]()
+    for name, (label, indices) in by_quantity(each[0] for each in every).items():
+        labels, numbers, shift, (is_output, *_) = zip(*(every[k] for k in indices), strict=True)
+        wheels = tuple(each.wheel for each in labels if each.wheel is not None)
+        known[name] = Wanted(label, [*numbers], is_output, np.array(shift), wheels)
     return known
 
 

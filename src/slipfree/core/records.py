@@ -58,6 +58,15 @@ class Label:
         return self.name if self.wheel is None else f"{self.name}[{self.wheel}]"
 
 
+def by_quantity(labels: Iterable[Label]) -> dict[str, tuple[Label, list[int]]]:
+    """Return the quantities of labels by name: a label without a wheel, and indices."""
+    found: dict[str, tuple[Label, list[int]]] = {}
+    for k, each in enumerate(labels):
+        words = each.words.replace(f"wheel {each.wheel}", "the wheel")
+        found.setdefault(each.name, (Label(each.name, each.unit, words), []))[1].append(k)
+    return found
+
+
 def leaves(record: Any) -> Iterator[Any]:
     """Yield the scalars of a record, depth first."""
     if isinstance(record, tuple):

@@ -14,7 +14,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.lookups import dense, evaluate
 from slipfree.core.newton import solve_linear
 from slipfree.core.quantities import QUANTITIES, quantity_label
-from slipfree.core.records import Array, Label, Mask, leaves
+from slipfree.core.records import Array, Label, Mask, by_quantity, leaves
 from slipfree.core.trajectory import Column, SolverError, Trajectory
 from slipfree.solve.system import Block, System, solve_initial_conditions
 
@@ -273,29 +273,21 @@ def _group_by_quantity(
         words = f"largest residual of equations {equations!r} after Newton steps"
         own = quantity_label(name, stride=STRIDE) if name in QUANTITIES else None
         labels.append(own or Label(name, units.get(name, "m"), words))
-    groups: dict[str, dict[str | None, int]] = {}
-    for row, label in enumerate(labels):
-        if label.name in AXIS_NAMES:
+    wheels, found = tuple[str, ...](), list[tuple[Label, tuple[int, ...], bool]]()
+    for name, (label, indices) in by_quantity(labels).items():
+        if name in AXIS_NAMES:
             raise ModelError(
-                f"expected no quantity named {label.name!r}, which is a dimension of results; "
+                f"expected no quantity named {name!r}, which is a dimension of results; "
                 "rename a coordinate of the vehicle or an output"
             )
-        group = groups.setdefault(label.name, {})
-        if group and (None in group or label.wheel is None or label.wheel in group):
+        on = [labels[k].wheel for k in indices]
+        if len(on) > 1 and len({*on} - {None}) < len(on):
             raise ModelError(
-                f"expected different names of all quantities in a result, found {label.name!r} "
+                f"expected different names of all quantities in a result, found {name!r} "
                 "twice; rename a coordinate of the vehicle or an output"
             )
-        group[label.wheel] = row
-    wheels, found = tuple[str, ...](), list[tuple[Label, tuple[int, ...], bool]]()
-    for name, group in groups.items():
-        rows = tuple(group.values())
-        label = labels[rows[0]]
-        if label.wheel is not None:
-            wheels = tuple(map(str, group))
-            words = label.words.replace(f"wheel {label.wheel}", "the wheel")
-            label = Label(name, label.unit, words)
-        found.append((label, rows, None not in group))
+        wheels = wheels if None in on else tuple(map(str, on))
+        found.append((label, tuple(indices), None not in on))
     return tuple(found), wheels
 
 
