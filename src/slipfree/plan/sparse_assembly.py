@@ -218,8 +218,11 @@ def _sum_entries(
     rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))
     weights = np.concatenate(factors)
     key, where = np.unique(columns.astype(np.int64) * shape[0] + rows, return_inverse=True)
-    at = (key % shape[0]).tolist(), (key // shape[0]).tolist()
-    pattern = ca.Sparsity.triplet(shape[0], shape[1], *at)
+    ends = np.searchsorted(key, shape[0] * np.arange(shape[1] + 1))
+    pattern = ca.Sparsity(*shape, ends.tolist(), (key % shape[0]).tolist())
+    column = ca.vertcat(*values)
+    if key.size == where.size:  # no entries coincide: a product takes five times as long
+        return ca.MX(pattern, (ca.DM(weights) * column)[where.argsort().tolist()])
     # from lists, six times as fast as from SciPy's matrix or numpy arrays of indices
     summed = ca.Sparsity(key.size, where.size, list(range(where.size + 1)), where.tolist())
-    return ca.MX(pattern, ca.DM(summed, weights) @ ca.vertcat(*values))
+    return ca.MX(pattern, ca.DM(summed, weights) @ column)
