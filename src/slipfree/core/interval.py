@@ -216,17 +216,12 @@ OPERATIONS: dict[int, Callable[..., Intervals]] = {
     ca.OP_CEIL: lambda a: _steps(np.ceil(a.low), np.ceil(a.high)),
     ca.OP_IF_ELSE_ZERO: _if_else_zero,
     ca.OP_COSH: lambda a: _rising(np.cosh)(_magnitudes(a)),
-    **{
-        getattr(ca, f"OP_{name}"): _rising(function)
-        for name, function in {
-            "EXP": np.exp,
-            "LOG": np.log,
-            "TANH": np.tanh,
-            "SINH": np.sinh,
-            "ATAN": np.arctan,
-            "ASIN": np.arcsin,
-        }.items()
-    },
+    ca.OP_EXP: _rising(np.exp),
+    ca.OP_LOG: _rising(np.log),
+    ca.OP_TANH: _rising(np.tanh),
+    ca.OP_SINH: _rising(np.sinh),
+    ca.OP_ATAN: _rising(np.arctan),
+    ca.OP_ASIN: _rising(np.arcsin),
 }
 
 

@@ -378,14 +378,11 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
     main = [inputs, ("can roll without slip", can_roll), ("the ground determines", listed_ground)]
     wheels = len(vehicle.wheels)
     suspension = f"{len(vehicle.of('suspension'))} of {wheels - 3} for exact contact of all wheels"
-    if is_exact:
-        contact = "determined by the ground"
-        conditions = f"{3 * wheels}: three for each wheel that touches the ground"
-    else:
-        contact, conditions = (
-            "contact unknowns",
-            f"{len(dae.labels.alg[0])}: two for each contact point",
-        )
+    contact = "determined by the ground"
+    conditions = f"{3 * wheels}: three for each wheel that touches the ground"
+    if not is_exact:
+        contact = "contact unknowns"
+        conditions = f"{len(dae.labels.alg[0])}: two for each contact point"
         suspension += ": the wheels are pressed into the ground, and may lift off it"
     words = f"{needed} besides the contacts; passive joints and free wheels: {balance}: {rolls}"
     details = [

@@ -372,7 +372,35 @@ def map_lines(
 ) -> tuple[Lines, ...]:
     """Return contours, grid and north arrow of the ground within ``reach`` of the vehicle [m]."""
     above = origin - np.array([0.0, 0.0, LIFT * reach])
-    lines = [contours(drawn), *_grid_and_north(drawn, terrain, window)]
+    # lines of equal coordinates, and the arrow to the north
+    west, east, south, north = window
+    long = max(east - west, north - south)
+    step = round_step(long / CELLS)
+
+    def draped(x: Array, y: Array) -> Array:
+        x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
+        z = np.where(drawn.touches(drawn.holes, x, y), np.nan, terrain.elevation(x, y))
+        return np.stack([x, y, z], axis=-1)
+
+    columns = step * np.arange(np.ceil(west / step), np.floor(east / step) + 1)
+    rows = step * np.arange(np.ceil(south / step), np.floor(north / step) + 1)
+    along_x, along_y = np.linspace(west, east, SAMPLES), np.linspace(south, north, SAMPLES)
+    across = [*(draped(np.array(x), along_y) for x in columns)]
+    across += [draped(along_x, np.array(y)) for y in rows]
+    below, left = np.array([0.0, -BESIDE * long, 0.0]), np.array([-BESIDE * long, 0.0, 0.0])
+    labels = [(f"x {x + 0.0:.10g} m", draped(x, np.array(south)) + below) for x in columns]
+    labels += [(f"y {y + 0.0:.10g} m", draped(np.array(west), y) + left) for y in rows]
+    segments = np.concatenate([np.zeros((0, 2, 3)), *map(_segments, across)])
+    shown = tuple((words, place) for words, place in labels if np.isfinite(place).all())
+    lines = [contours(drawn), Lines("grid", f"every {step:g} m", GRAY, segments, shown)]
+    size = ARROW * long
+    tip, head = np.array([east - 0.5 * size, north - 0.3 * size]), 0.3 * size
+    corners = tip + np.array(
+        [[0, -size], [0, 0], [-0.4 * head, -head], [0, 0], [0.4 * head, -head]]
+    )
+    arrow = draped(corners[:, 0], corners[:, 1])
+    arrow[:, 2] = np.nanmax(arrow[:, 2]) if np.isfinite(arrow[:, 2]).any() else drawn.values.max()
+    lines.append(Lines("north", "to +y of the map", RED, _segments(arrow), (("N", arrow[1]),)))
     return tuple(
         each._replace(
             segments=each.segments - above,
@@ -408,38 +436,6 @@ def round_step(least: float, steps: Sequence[float] = STEPS) -> float:
     """
     power = 10.0 ** np.floor(np.log10(max(least, FLAT / 10)))
     return float(next(power * step for step in steps if power * step >= least * (1 - 1e-9)))
-
-
-def _grid_and_north(drawn: Grid, terrain: Terrain, window: Window) -> Iterable[Lines]:
-    """Yield lines of equal coordinates, and the arrow to the north, in map coordinates."""
-    west, east, south, north = window
-    long = max(east - west, north - south)
-    step = round_step(long / CELLS)
-
-    def draped(x: Array, y: Array) -> Array:
-        x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
-        z = np.where(drawn.touches(drawn.holes, x, y), np.nan, terrain.elevation(x, y))
-        return np.stack([x, y, z], axis=-1)
-
-    columns = step * np.arange(np.ceil(west / step), np.floor(east / step) + 1)
-    rows = step * np.arange(np.ceil(south / step), np.floor(north / step) + 1)
-    along_x, along_y = np.linspace(west, east, SAMPLES), np.linspace(south, north, SAMPLES)
-    lines = [*(draped(np.array(x), along_y) for x in columns)]
-    lines += [draped(along_x, np.array(y)) for y in rows]
-    below, left = np.array([0.0, -BESIDE * long, 0.0]), np.array([-BESIDE * long, 0.0, 0.0])
-    labels = [(f"x {x + 0.0:.10g} m", draped(x, np.array(south)) + below) for x in columns]
-    labels += [(f"y {y + 0.0:.10g} m", draped(np.array(west), y) + left) for y in rows]
-    segments = np.concatenate([np.zeros((0, 2, 3)), *map(_segments, lines)])
-    shown = tuple((words, place) for words, place in labels if np.isfinite(place).all())
-    yield Lines("grid", f"every {step:g} m", GRAY, segments, shown)
-    size = ARROW * long
-    tip, head = np.array([east - 0.5 * size, north - 0.3 * size]), 0.3 * size
-    corners = tip + np.array(
-        [[0, -size], [0, 0], [-0.4 * head, -head], [0, 0], [0.4 * head, -head]]
-    )
-    arrow = draped(corners[:, 0], corners[:, 1])
-    arrow[:, 2] = np.nanmax(arrow[:, 2]) if np.isfinite(arrow[:, 2]).any() else drawn.values.max()
-    yield Lines("north", "to +y of the map", RED, _segments(arrow), (("N", arrow[1]),))
 
 
 def _segments(line: Array) -> Array:

@@ -66,11 +66,11 @@ def load_or_compile(
     SX functions without calls of other functions. The result is None, with a warning that gives the
     reason, if they can be neither loaded nor compiled.
     """
-
-    def load(file: str) -> tuple[ca.Function, ...]:
-        return tuple(ca.external(name, file) for name in names)
-
-    return shared_library(text, lambda: source(make()), load)
+    return shared_library(
+        text,
+        lambda: source(make()),
+        lambda file: tuple(ca.external(name, file) for name in names),
+    )
 
 
 def shared_library(
