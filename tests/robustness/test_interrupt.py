@@ -25,7 +25,7 @@ from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Nlp
 from slipfree.files import netcdf
 from slipfree.files.tables import write_rows
-from slipfree.fit import prediction
+from slipfree.fit import drives
 from slipfree.plan import ipopt, search, tracking, verification
 from slipfree.plan import plan as planning
 from slipfree.plan.ipopt import solve_nlp
@@ -515,8 +515,8 @@ def test_a_fit_keeps_its_last_accepted_estimate(folder, monkeypatch, at, rows):
     head = ["time", "x", "y", "heading", *(f"{name}_rate" for name in names)]
     write_rows(folder / "log.csv", head, np.column_stack(columns).tolist())
     (folder / "fit.toml").write_text(FIT)
-    pressed, _ = pressing(prediction.simulate, at)
-    monkeypatch.setattr(prediction, "simulate", pressed)
+    pressed, _ = pressing(drives.simulate, at)
+    monkeypatch.setattr(drives, "simulate", pressed)
     found = invoke("fit", "fit.toml", "--no-draw", code=130)
     kept = "interrupted; fit.csv contains the estimates so far\n"
     assert found.stderr == (kept if rows else "interrupted\n")
