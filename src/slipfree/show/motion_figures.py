@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -295,7 +295,17 @@ def plot(
         run = result.replay if isinstance(result, Plan) else result
         solids = isinstance(terrain, Solids)
         base, prisms = (terrain.base, terrain.prisms) if solids else (terrain, ())
-        plots = motion_plots(run, _grid_around(run, base), base, prisms)
+        grid = getattr(base, "grid", None)
+        if not isinstance(grid, Grid):  # heights of a formula around the motion
+            margin = 1.0 + AROUND * float(max(np.ptp(run["x"]), np.ptp(run["y"])))
+            x, y = (
+                np.linspace(
+                    max(run[n].min() - margin, low), min(run[n].max() + margin, high), NODES
+                )
+                for n, low, high in zip("xy", base.domain[::2], base.domain[1::2], strict=True)
+            )
+            grid = Grid(x, y, base.elevation(x[:, None], y))
+        plots = motion_plots(run, grid, base, prisms)
     known = {plot.name: plot for plot in plots}
     name = plots[0].name if name is None else name
     if name not in known:
@@ -304,18 +314,6 @@ def plot(
             f"{similar(name, known)}correct the name"
         )
     return draw([known[name]])[name]
-
-
-def _grid_around(run: Trajectory, ground: Any) -> Grid:
-    """Return the grid of a ground, or the heights of a formula around a motion."""
-    if isinstance(getattr(ground, "grid", None), Grid):
-        return cast(Grid, ground.grid)
-    margin = 1.0 + AROUND * float(max(np.ptp(run["x"]), np.ptp(run["y"])))
-    x, y = (
-        np.linspace(max(run[n].min() - margin, low), min(run[n].max() + margin, high), NODES)
-        for n, low, high in zip("xy", ground.domain[::2], ground.domain[1::2], strict=True)
-    )
-    return Grid(x, y, ground.elevation(x[:, None], y))
 
 
 def map_plot(drive: PlottedDrive) -> Plot:
