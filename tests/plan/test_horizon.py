@@ -88,8 +88,35 @@ def test_steps_converge(found):
     assert cycle.violation < 1e-6
 
 
+@pytest.mark.parametrize("continuous", [False, True])
+def test_steps_converge_to_the_solution_of_ipopt_where_limits_are_active(continuous):
+    """With bounded accelerations, limits of unknowns and outputs, and an input at its bound."""
+    found = plan(
+        *straight_on(VEHICLE, sf.Bicubic(GRID), 0.4, np.linspace(0, DURATION, 30)),
+        goal={"x": 0.1, "y": (0.7, 0.9)},
+        costs={"slip": 7e4, "effort": 0.01},
+        duration=DURATION,
+        inputs=BOUNDED_RATES | {"steer_rate": (-0.05, 0.05)},
+        accelerations={"right_rate": (-0.03, 0.03)},
+        limits={"steer": (-1.0, 1.0), "pitch": (-0.6, 0.6), "velocity_y": (-0.05, 0.13)},
+        mesh=sf.Mesh(6, continuous=continuous, accuracy=0.1),
+    )
+    window = horizon(found, span=DURATION, intervals=6, iterations=50)
+    alone = replace(window, steps=0, careful=warm_solver(window.program, 500))
+    start = state_at_start(found.program.task) + np.array([0.01, -0.005, 0.01, 0.0])
+    cycle, other = (replan(each, first_cycle(each), 0.0, start) for each in (window, alone))
+    assert cycle.violation < 1e-7
+    assert_allclose(cycle.motion.unknowns, other.motion.unknowns, atol=2e-5)
+    size = np.abs(other.multipliers).max()
+    assert_allclose(cycle.multipliers, other.multipliers, atol=1e-4 * size)
+    rates = cycle.motion.unknowns[cycle.motion.layout.inputs]
+    assert np.abs(rates[:, 2]).max() > 0.04999
+    changes = np.diff(rates[:, 0]) / (DURATION / 6)
+    assert np.abs(changes).max() == pytest.approx(0.03, rel=1e-3)
+
+
 def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found, window):
-    many, dae = replace(window, solver=warm_solver(window.program, 50)), found.program.task.dae
+    many, dae = replace(window, steps=50), found.program.task.dae
     start, period = sf.settle(dae, x=0.02, y=-0.02, heading=0.03), DURATION / COUNT
     end, converged = (track(each, dae, start, period=period).run for each in (window, many))
     assert away(end) < 1e-3
@@ -134,8 +161,8 @@ def test_a_cycle_far_from_the_equations_is_repeated_with_a_line_search(window):
     first = first_cycle(window)
     far = state_at_start(window.program.task) + np.array([0.3, 0, 0, 0])
     with pytest.raises(sf.SolverError, match="the inputs of the previous cycle may still be used"):
-        replan(replace(window, solver=idle, careful=idle), first, 0.0, far)
-    cycle = replan(replace(window, solver=idle), first, 0.0, far)
+        replan(replace(window, steps=0, careful=idle), first, 0.0, far)
+    cycle = replan(replace(window, steps=0), first, 0.0, far)
     assert cycle.violation < 0.02
     assert_allclose(
         cycle.motion.states(np.array([0.0]))[:, 0] + window.program.task.dae.shift[0],

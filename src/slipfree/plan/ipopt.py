@@ -197,13 +197,12 @@ def solve_program(
     return solution._replace(success=met and solution.status == TIME_STATUS)
 
 
-def warm_solver(program: Program, iterations: int, *, full_steps: bool = True) -> ca.Function:
-    """Return an IPOPT solver for a start near a solution, with full steps or a line search."""
+def warm_solver(program: Program, iterations: int) -> ca.Function:
+    """Return an IPOPT solver for a start near a solution, without multipliers."""
     ipopt = WARM_OPTIONS | {
         "max_iter": iterations,
         "mu_strategy": "monotone",
         "mu_init": WARM_BARRIER,
-        "accept_every_trial_step": "yes" if full_steps else "no",
     }
     return _ipopt_solver(program, ipopt, {})
 

@@ -1,11 +1,11 @@
-"""Model-predictive control: update a plan while the vehicle moves, one Newton step per cycle.
+"""Model-predictive control: update a plan while the vehicle moves, one step per cycle.
 
 A window of fixed duration moves ahead of the vehicle. At its end, the quantities of the goal must
 equal those of the plan at that time. Only the bounds of its program change from cycle to cycle. In
-each cycle the previous solution is shifted in time, the measured state is imposed, and one
-iteration is made (Diehl, Bock, Schloeder, A real-time iteration scheme for nonlinear optimization
-in optimal feedback control, SIAM J. Control Optim. 43, 2005). Near the end of the plan the window
-becomes shorter.
+each cycle the previous solution is shifted in time, the measured state is imposed, and one step of
+sequential quadratic programming is made (Diehl, Bock, Schloeder, A real-time iteration scheme for
+nonlinear optimization in optimal feedback control, SIAM J. Control Optim. 43, 2005). Near the end
+of the plan the window becomes shorter.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from slipfree.plan.polynomial_motion import (
     motion_of,
     unknowns_of,
 )
+from slipfree.plan.sqp import StepSolver
 from slipfree.plan.transcription import (
     CollocationMesh,
-    Index,
     PlanTask,
     Program,
     completed,
@@ -48,7 +48,10 @@ from slipfree.system.interrupt import with_interrupt_guard
 TIME_TOLERANCE = 1e-6  # largest difference of times that count as equal [s]
 USABLE_STATUSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded")
 MAX_CYCLE_VIOLATION = 0.1  # of a row of a cycle, in its unit; full steps from there diverge
+STEP_VIOLATION = 0.01  # of a row after full steps, in its unit; above it, another step is made
+MORE_STEPS = 2  # full steps that may follow before a line search
 SEARCH_ITERATIONS = 30  # maximum number of iterations with a line search
+CONVERGED_STEP = 1e-9  # largest change of a scaled unknown after which no further step is made
 MIN_WINDOW_FRACTION = 0.25  # shorter windows, at the end of a plan, are not updated
 
 
@@ -62,8 +65,9 @@ class Horizon:
     span: float  # length of the window [s]
     weights: Array  # shape (n_costs + 1,): of the costs and, last, the smoothness
     rows: ca.Function  # function ``(w, p) ->`` rows of the program, of scaled unknowns and weights
-    solver: ca.Function  # solver that makes the iterations of one cycle, from `warm_solver`
-    careful: ca.Function  # the same with a line search, for cycles in which full steps fail
+    solver: StepSolver  # of the steps of sequential quadratic programming
+    steps: int  # maximum number of steps per cycle
+    careful: ca.Function  # IPOPT with a line search, for cycles in which full steps fail
 
     __repr__ = field_overview
 
@@ -74,8 +78,7 @@ class Cycle(NamedTuple):
 
     t: float  # time of the cycle since the beginning of the plan [s]
     motion: PolynomialMotion  # planned motion from this time to the end of the window
-    row_multipliers: Array  # shape (n_g,): lagrange multipliers of the rows
-    bound_multipliers: Array  # shape (n_w,): of the bounds of the scaled unknowns
+    multipliers: Array  # shape (n_g,): Lagrange multipliers of the rows
     violation: float  # largest violation of a row of the program, in its unit
 
 
@@ -97,8 +100,9 @@ def horizon(
     degree : int
         Degree of the polynomials on each interval, 1 to 5.
     iterations : int
-        Maximum number of iterations per cycle. They make full steps; a cycle that is far from the
-        equations after them is repeated with a line search, in at most 30 iterations.
+        Maximum number of steps per cycle, at their full length. If a row is wrong by more than 0.01
+        after them, up to two further steps follow; then the cycle is repeated by IPOPT with a line
+        search, in at most 30 iterations.
 
     Raises
     ------
@@ -135,8 +139,9 @@ def horizon(
         span,
         weights,
         ca.Function("rows", names, [program.problem["g"]]),
-        warm_solver(program, iterations),
-        warm_solver(program, SEARCH_ITERATIONS, full_steps=False),
+        StepSolver(program),
+        iterations,
+        warm_solver(program, SEARCH_ITERATIONS),
     )
 
 
@@ -172,14 +177,9 @@ def first_cycle(window: Horizon) -> Cycle:
     """
     program, layout = window.program, window.program.layout
     first = _sample_motions(window, [(window.plan, 0.0)], 0.0, window.span)
-    blank = Cycle(
-        0.0,
-        motion_of(program, first),
-        np.zeros(program.g_lower.size),
-        np.zeros(program.scale.size),
-        np.inf,
-    )
-    patient = replace(window, solver=warm_solver(program, MAX_ITERATIONS))
+    none = np.zeros(program.g_lower.size)
+    blank = Cycle(0.0, motion_of(program, first), none, np.inf)
+    patient = replace(window, steps=0, careful=warm_solver(program, MAX_ITERATIONS))
     return replan(patient, blank, 0.0, first[layout.first] + program.task.dae.shift[0])
 
 
@@ -246,8 +246,8 @@ def replan(window: Horizon, former: Cycle, t: Finite, x: Array) -> Cycle:
     x = same_turn(x[:, None], near[:, None], program.task.periodic)[:, 0]
     first[program.layout.first] = x
     first = completed(program, first)
-    rows, bounds = _shift_multipliers(program, former, t, span)
-    return _iterated(window, t, first, _row_bounds(window, t + span), (rows, bounds))
+    multipliers = _shift_multipliers(program, former, t, span)
+    return _iterated(window, t, first, _row_bounds(window, t + span), multipliers)
 
 
 @computing
@@ -296,16 +296,11 @@ def refine(window: Horizon, start: Trajectory, inputs: Array) -> Cycle:
     first = completed(program, unknowns_of(program, x, z, u, span))
     n_z = window.plan.layout.unknowns.shape[2]
     asked = np.array(window.targets(x[:, -1], z[:n_z, -1], u[:, -1])).ravel()
-    none = np.zeros(program.g_lower.size), np.zeros(program.scale.size)
-    return _iterated(window, 0.0, first, _with_goal(program, asked), none)
+    return _iterated(window, 0.0, first, _with_goal(program, asked), np.zeros(program.g_lower.size))
 
 
 def _iterated(
-    window: Horizon,
-    t: float,
-    first: Array,
-    row_bounds: tuple[Array, Array],
-    multipliers: tuple[Array, Array],
+    window: Horizon, t: float, first: Array, row_bounds: tuple[Array, Array], multipliers: Array
 ) -> Cycle:
     """Return the cycle after the iterations of a window, from unknowns with the measured state."""
     program, scale = window.program, window.program.scale
@@ -313,26 +308,33 @@ def _iterated(
     lower, upper = program.lower.copy(), program.upper.copy()
     lower[program.layout.first] = upper[program.layout.first] = x
     lower[program.layout.duration] = upper[program.layout.duration] = span
+    start, bounds, p = first / scale, (lower / scale, upper / scale), window.weights
     asked = replace(program, g_lower=row_bounds[0], g_upper=row_bounds[1])
-    # Arguments in the order of ``casadi.nlpsol``; CasADi matrices would take a tenth of the time.
-    arguments = (first / scale, window.weights, lower / scale, upper / scale, *row_bounds)
-    columns = {k: value[:, None] for k, value in enumerate((*arguments, *multipliers[::-1]))}
-    sizes = scale.size, scale.size, asked.g_lower.size
-    unknowns, bounds, rows = map(np.empty, sizes)
-    for solver in (window.solver, window.careful):
-        buffer = run_buffered(solver, columns, {0: unknowns, 3: bounds, 4: rows})
-        status = str(buffer.stats()["return_status"])
-        # The rows that IPOPT returns may belong to another iterate than the unknowns.
-        g = evaluate(window.rows, unknowns[:, None], columns[1])[0].ravel()
-        violation = largest_violation(asked, g) if np.isfinite(g).all() else np.inf
-        if status in USABLE_STATUSES and violation < MAX_CYCLE_VIOLATION:
+
+    def violation(unknowns: Array) -> float:
+        (g,) = evaluate(window.rows, unknowns[:, None], p[:, None])
+        return largest_violation(asked, g.ravel()) if np.isfinite(g).all() else np.inf
+
+    unknowns = start
+    for k in range(window.steps + MORE_STEPS * bool(window.steps)):
+        step = window.solver.step(unknowns, p, bounds, row_bounds, multipliers)
+        if step is None:
             break
-    else:
+        unknowns, multipliers = unknowns + step.change, step.multipliers
+        is_last = k >= window.steps - 1 or np.abs(step.change).max() < CONVERGED_STEP
+        if is_last and (over := violation(unknowns)) < STEP_VIOLATION:
+            return Cycle(t, motion_of(program, unknowns * scale), multipliers, over)
+    # Arguments in the order of ``casadi.nlpsol``; CasADi matrices would take a tenth of the time.
+    columns = {k: each[:, None] for k, each in enumerate((start, p, *bounds, *row_bounds))}
+    unknowns, rows = np.empty(scale.size), np.empty(multipliers.size)
+    buffer = run_buffered(window.careful, columns, {0: unknowns, 4: rows})
+    status, over = str(buffer.stats()["return_status"]), violation(unknowns)
+    if status not in USABLE_STATUSES or over >= MAX_CYCLE_VIOLATION:
         raise SolverError(
             f"replan: the iterations failed at t = {t:g} s, state {x}: {ipopt_words(status)}; "
             "the inputs of the previous cycle may still be used"
         )
-    return Cycle(t, motion_of(program, unknowns * scale), rows, bounds, violation)
+    return Cycle(t, motion_of(program, unknowns * scale), rows, over)
 
 
 def cycle_inputs(window: Horizon, cycle: Cycle, begin: float, end: float) -> tuple[Record, Array]:
@@ -397,8 +399,8 @@ def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:
     if end >= plan.duration - TIME_TOLERANCE:
         return program.g_lower, program.g_upper
     at = np.array([end / plan.duration])
-    values = window.targets(plan.states(at), plan.algebraic(at), plan.inputs(at))
-    return _with_goal(program, np.array(values).ravel())
+    (values,) = evaluate(window.targets, plan.states(at), plan.algebraic(at), plan.inputs(at))
+    return _with_goal(program, values.ravel())
 
 
 def _with_goal(program: Program, values: Array) -> tuple[Array, Array]:
@@ -409,18 +411,11 @@ def _with_goal(program: Program, values: Array) -> tuple[Array, Array]:
     return lower, upper
 
 
-def _shift_multipliers(
-    program: Program, former: Cycle, t: float, span: float
-) -> tuple[Array, Array]:
-    """Return the multipliers of the rows and of the bounds, shifted to the next window."""
-    ends, layout = program.mesh.ends, program.layout
+def _shift_multipliers(program: Program, former: Cycle, t: float, span: float) -> Array:
+    """Return the multipliers of the rows, shifted to the next window."""
+    ends = program.mesh.ends
     middles = (t - former.t + span * (ends[1:] + ends[:-1]) / 2) / former.motion.duration
-    which: Index = np.clip(np.searchsorted(ends, middles) - 1, 0, ends.size - 2)
-    row_block = program.row_blocks[0]
-    count = len(row_block.where) * len(row_block.labels)
-    rows, bounds = former.row_multipliers.copy(), np.zeros(program.scale.size)
-    rows[:count] = rows[:count].reshape(len(row_block.where), -1)[which].ravel()
-    for where in (layout.inputs[: which.size], layout.states, layout.unknowns, layout.roots):
-        bounds[where] = former.bound_multipliers[where[which]]
-    bounds[layout.inputs[which.size :]] = former.bound_multipliers[layout.inputs[which.size :]]
-    return rows, bounds
+    which = np.clip(np.searchsorted(ends, middles) - 1, 0, ends.size - 2)
+    count = ends.size - 1
+    own, last = np.split(former.multipliers, [count * len(program.row_blocks[0].labels)])
+    return np.concatenate([own.reshape(count, -1)[which].ravel(), last])

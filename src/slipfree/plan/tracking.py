@@ -157,8 +157,7 @@ class Replanning(Controller):
         super().__init__(program.task.dae, period, compiled=program.options.compiled)
         self.name = "replan" if updated else "inputs"
         self._window = window
-        none = np.zeros(0)
-        self._whole = Cycle(0.0, window.plan, none, none, 0.0)
+        self._whole = Cycle(0.0, window.plan, np.zeros(0), 0.0)
         self._cycle = first_cycle(window) if updated else self._whole
         self._updated = updated
 
