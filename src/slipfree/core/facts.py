@@ -37,6 +37,8 @@ class Fact(NamedTuple):
         value = self.value * SCALES[shown] if shown else self.value
         if shown and abs(value) < ROUNDING:
             value = 0.0
+        if isinstance(value, float) and spec:
+            spec = f"z{spec}"  # no minus zero
         unit = shown or ("" if self.unit in ("", "1") else printed_unit(self.unit))
         return f"{value:{spec}} {unit}".rstrip()
 
