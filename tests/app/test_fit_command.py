@@ -216,6 +216,14 @@ def test_units_by_the_travel_of_the_wheels(factors: dict[int, float], words: str
     check(speed=np.where(TIMES < 10, 1.0, -0.2) * log[:, 1])  # the wheels slip
 
 
+def test_missing_columns_of_logs_without_a_problem_file() -> None:
+    Path("log.csv").write_text("a,b\n1,2\n2,3\n")
+    assert "as in --set data.columns.x=east; the unit" in printed("fit", "log.csv", code=2)
+    Path("car.toml").write_text(vehicle_text(sf.catalog.ackermann(), []))
+    found = printed("fit", "log.csv", "--vehicle", "car.toml", code=2)
+    assert "data.rates, as in --set data.columns.x=east, or hold joints that do not move" in found
+
+
 def test_logs_without_a_problem_file_over_a_map() -> None:
     """The fit is kept, has its facts, and predicts other logs as the fit without them does."""
     t, sides, place, heading = drives(2, duration=24.0, size=1.0)

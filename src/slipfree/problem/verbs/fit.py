@@ -515,13 +515,14 @@ class _Reader(NamedTuple):
 
     def _remedy(self) -> str:
         """Return the places in which columns are named, with the remedy for joints without one."""
-        tables = "[data.columns] or [data.rates]"
+        tables, unit = "[data.columns] or [data.rates]", ""
         if self.problem.source.is_made:
-            tables = "--set data.columns" if self.problem.spec.vehicle is None else "a problem file"
-            tables += ", as in data.columns.x=east, and their unit with --set data.unit=rad/s"
+            rates = "" if self.problem.spec.vehicle is None else " or data.rates"
+            tables = f"--set data.columns{rates}, as in --set data.columns.x=east"
+            unit = "; the unit of left and right is --set data.unit=rad/s or m/s"
         if joints := self.inputs.joints:
             tables += f', or hold joints that do not move (URDF: joints.{joints[0]} = "fixed")'
-        return tables
+        return tables + unit
 
     def _check(self, log: MotionLog, frame: str) -> None:
         """Raise DataError if columns of a log contradict each other."""
