@@ -320,9 +320,7 @@ class DriveVerb(Verb, ABC):
         vehicle, grid = setup.vehicle, setup.ground.grid
 
         def with_filled(run: Trajectory) -> Trajectory:
-            """Return a motion with facts about wheel paths over filled holes, if there are any."""
-            if grid.filled is None:
-                return run
+            """Return a motion with facts about wheel paths over filled holes of the map."""
             on = grid.touches(grid.filled, run["contact_x"], run["contact_y"])
             steps = np.sqrt(sum(np.diff(run[f"contact_{axis}"], axis=0) ** 2 for axis in "xyz"))
             lengths = (0.5 * (on[:-1].astype(float) + on[1:]) * steps).sum(axis=0)
@@ -336,11 +334,11 @@ class DriveVerb(Verb, ABC):
             facts = {OBSTACLES: Fact(ending.name, words=ending.words)} if ending else {}
             return run.with_facts(facts)
 
-        diagnostics: dict[str, Diagnostic] = {
-            "filled_ground": with_filled,
-            OBSTACLES: with_ending,
-            CLOSEST: lambda run: run.with_facts(closest_fact(vehicle, setup.terrain, run)),
-        }
+        diagnostics = dict[str, Diagnostic]()
+        if grid.filled is not None:
+            diagnostics["filled_ground"] = with_filled
+        diagnostics[OBSTACLES] = with_ending
+        diagnostics[CLOSEST] = lambda run: run.with_facts(closest_fact(vehicle, setup.terrain, run))
         has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
         if has_choice and "kinetic_energy" not in run:  # dynamics has one distribution of forces
             diagnostics[BEST.name] = partial(best_utilisation, vehicle, setup.terrain)
