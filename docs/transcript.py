@@ -45,7 +45,7 @@ VARIES = re.compile(
 )
 PROGRESS = re.compile(
     r"integrated to [\d.]+ of |.*\biteration \d+, constraints off by "
-    r"|(figures|frames|tiles): \d+ of \d+"
+    r"|(figures|frames|tiles|poses tried for a start): \d+ of \d+|checking the motion: "
 )
 ROUNDING, TOLERANCE = 1e-6, 0.01
 
