@@ -46,6 +46,7 @@ VARIES = re.compile(
 PROGRESS = re.compile(
     r"integrated to [\d.]+ of |.*\biteration \d+, constraints off by "
     r"|(figures|frames|tiles|poses tried for a start): \d+ of \d+|checking the motion: "
+    r"|driving the initial guess|setting up the search"
 )
 ROUNDING, TOLERANCE = 1e-6, 0.01
 

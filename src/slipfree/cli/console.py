@@ -388,6 +388,7 @@ def reporting(duration: float | None) -> Iterator[Reports]:
     """
     of = "" if duration is None else f" of {duration:g}"
     stderr, is_shown = sys.stderr, has_bar()  # the current stderr: integrators redirect it
+    late = time.monotonic() + SAME_PHASE  # before it, phases without iterates are not worth a line
     is_verbose, begun = _current_output().options.verbose, False
     seldom = _sparse(lambda line: print_line(line, file=stderr), SAME_PHASE)
     seldom = _sparse(detail, NEW_PHASE) if is_verbose else seldom
@@ -409,7 +410,7 @@ def reporting(duration: float | None) -> Iterator[Reports]:
             bar.update(task, description=escape(visible(line)))
         elif is_verbose:
             detail(line)
-        elif is_shown:
+        elif is_shown and (phase != line or time.monotonic() > late):
             seldom(phase, line)
 
     with interrupt.held_interrupt(from_first_poll=True), ExitStack() as stack:
