@@ -441,6 +441,9 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
                 f"expected a surface of each of the {len(paths)} logs, found "
                 f"{len(surfaces)} in 'surfaces'; correct them"
             )
+        if spec.vehicle is None:
+            assumed = f"assumed: a skid-steer of four wheels with a wheelbase of {2 * HALF:g} m"
+            rows.append(("vehicle", f"{assumed}; give yours: --vehicle FILE, or [vehicle]"))
         reader = _Reader(problem, inputs, grid, rows)
         logs = reader.read(paths, surfaces[: len(paths)])
         model, window = model_of(problem, inputs, logs), spec.data.window
