@@ -11,7 +11,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -19,9 +22,10 @@ from PIL import Image
 from scipy.ndimage import binary_erosion
 
 from helpers.chromium import headless_chromium
-from helpers.commands import invoke, refused, sets, shown
+from helpers.commands import invoke, refused, refuses, sets, shown
 from helpers.problem_files import rough_ground
-from slipfree.show.viewer import stop
+from slipfree.core.errors import DataError
+from slipfree.show.viewer import recorder, stop
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 
@@ -356,6 +360,22 @@ def motion_nodes(files: list[Path], times: np.ndarray) -> tuple[Any, Any]:
 
     server = viewer.recorder()
     return server, viewer._RunNodes(server, drive_scene([shown(files[0], "a")]), 0, times)
+
+
+def test_the_port_of_a_recorder_is_closed() -> None:
+    pytest.importorskip("viser")
+    server = recorder()
+    with pytest.raises(HTTPError, match="403"):
+        urlopen(f"http://127.0.0.1:{server.get_port()}/")
+    stop(server)
+
+
+def test_a_recorder_that_cannot_be_closed_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended: list[int] = []
+    other = SimpleNamespace(stop=lambda: ended.append(1))
+    monkeypatch.setattr(pytest.importorskip("viser"), "ViserServer", lambda **_: other)
+    refuses(DataError, "expected a version of viser whose port", recorder)
+    assert ended == [1]
 
 
 def test_nodes_have_the_poses_of_the_motion(files: list[Path]) -> None:
