@@ -18,7 +18,6 @@ import casadi as ca
 import common  # noqa: F401 - finds the helpers of tests
 import numpy as np
 
-from helpers.cases import conditions
 from slipfree import (
     Analytic,
     ModelError,
@@ -32,7 +31,7 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.control.path_following import path_inputs
-from slipfree.models.given_rates import EULER, PLANAR, VELOCITY
+from slipfree.models.given_rates import EULER, PLANAR, VELOCITY, conditions
 from slipfree.models.inverse import inverse_kinematics, steering_note
 from slipfree.solve.collocation import drive
 from slipfree.solve.replay import replay, spline_inputs

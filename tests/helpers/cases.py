@@ -2,7 +2,6 @@
 
 import json
 from functools import lru_cache
-from itertools import combinations
 from pathlib import Path
 
 import casadi as ca
@@ -11,7 +10,6 @@ import numpy as np
 from slipfree import Bicubic, Grid, Region, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.catalog import rocky7, three_wheeler
 from slipfree.core.lookups import LookupTable, lookup_function
-from slipfree.models.given_rates import OMEGA, VELOCITY, samples_first, slip_columns
 
 ROOT = Path(__file__).parents[2]
 DATA, PROBLEMS = ROOT / "tests" / "data", ROOT / "problems"
@@ -20,21 +18,6 @@ BOUNDED_RATES = dict.fromkeys(("right_rate", "left_rate", "steer_rate"), (-2.0, 
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 # What was compiled of a model serves every motion of it.
 closure_model = lru_cache(maxsize=8)(direct_kinematics)
-
-
-def conditions(direct, run, solve_for="rates"):
-    """Return condition numbers of the inverse problem for each choice of three platform rates.
-
-    They are those at the samples of a motion of rolling without slip, infinite where the choice is
-    singular; with ``solve_for="angles"`` its speed must not be zero.
-    """
-    slip, count = slip_columns(direct), run.t.size
-    choices = [*combinations((*VELOCITY, *OMEGA), 3)]
-    matrices = [slip.matrix(given, solve_for)[0] for given in choices]
-    function = direct.function("matrices", list(direct.columns()), matrices)
-    found = function.map(count)(*(direct.rows(record, run) for record in "xzu"))
-    sizes = np.linalg.cond([samples_first(each, count) for each in found])
-    return dict(zip(choices, np.where(sizes < 1e9, sizes, np.inf), strict=True))
 
 
 def box(x_min: float, x_max: float, y_min: float, y_max: float) -> Region:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.cases import closure_model, conditions, hills
+from helpers.cases import closure_model, hills
 from helpers.commands import refuses
 from slipfree import (
     Analytic,
@@ -24,7 +24,7 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.control.path_following import path_inputs
-from slipfree.models.given_rates import EULER, OMEGA, PLANAR, VELOCITY, omega
+from slipfree.models.given_rates import EULER, OMEGA, PLANAR, VELOCITY, conditions, omega
 from slipfree.models.inverse import inverse_kinematics, steering_note, steering_slip
 from slipfree.solve.collocation import drive
 from slipfree.solve.replay import replay, spline_inputs

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Literal, NamedTuple
 
 import casadi as ca
@@ -55,6 +56,7 @@ UNITS = {name: "m s-1" if name in VELOCITY else "rad s-1" for name in RATES}
 UNITS |= {name: label.unit for name, label in COMMANDS.items()}
 UNITS |= {name: UNITS[ours] for name, ours in ROBOT.items()}  # of all rates that may be given
 SolveFor = Literal["rates", "angles"]
+MAX_CONDITION = 1e9  # condition numbers above this one are those of singular matrices
 LEAST_MARGIN = 1e-3  # smallest singular value at which the given rates determine the unknowns
 GAIN = 5.0  # decay rate of the error of a steering angle [1/s]
 MAX_STEERING_RATE = 1.0  # largest rate of a steered joint without max_rate [rad/s, m/s]
@@ -652,6 +654,25 @@ def command_determinacy(direct: Dae, model: Dae, given: Sequence[str]) -> Determ
     remedy += " '{}' from the given rates, or set exact = false for the nearest motion"
     names = tuple(label.full for label in wheels)
     return Determinacy(LEAST_AUTHORITY, tuple(given), names, reasons, remedy, function)
+
+
+def conditions(
+    direct: Dae, run: Trajectory, solve_for: SolveFor = "rates"
+) -> dict[tuple[str, ...], Array]:
+    """Return condition numbers of the inverse problem for each choice of three platform rates.
+
+    ``run`` is a motion of the model ``direct`` of a vehicle that rolls without slip; with
+    ``solve_for="angles"`` its speed must not be zero. The condition numbers at its samples (n,),
+    infinite where the choice is singular, have the names of the three given rates as key
+    (``velocity_x`` to ``omega_z``).
+    """
+    slip, count = slip_columns(direct), run.t.size
+    choices = [*combinations((*VELOCITY, *OMEGA), 3)]
+    matrices = [slip.matrix(given, solve_for)[0] for given in choices]
+    function = direct.function("matrices", list(direct.columns()), matrices)
+    found = function.map(count)(*(direct.rows(record, run) for record in "xzu"))
+    sizes = np.linalg.cond([samples_first(each, count) for each in found])
+    return dict(zip(choices, np.where(sizes < MAX_CONDITION, sizes, np.inf), strict=True))
 
 
 def check_authority(direct: Dae, stand: Trajectory, given: Sequence[str]) -> None:
