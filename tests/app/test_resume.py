@@ -86,7 +86,7 @@ def stopped(tmp_path, monkeypatch):
     """Return the file of an interrupted search and what the command prints."""
     file = tmp_path / "stopped here.nc"
     with monkeypatch.context() as patch:
-        interrupt_search(patch, 5)
+        interrupt_search(patch, 7)  # two reports of phases precede those of the iterates
         return file, command(file)
 
 
