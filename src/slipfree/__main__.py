@@ -30,9 +30,7 @@ import signal  # noqa: E402
 
 from slipfree.system.interrupt import interrupt_arrived, interrupt_at_signals, interrupted  # noqa: E402
 
-INTERRUPTED = (
-    130  # exit code; equal to that of `slipfree.core.trajectory`, whose import would be slow
-)
+INTERRUPTED = 130  # exit code; that of `slipfree.core.trajectory`, whose import would be slow
 # Expressions are up to a million objects without cycles: Python's default of 700 new objects for
 # each search for cycles would take up to a twelfth of the time of a plan.
 OBJECTS = 10_000

@@ -450,13 +450,7 @@ Piecewise = tuple[tuple[float, float], ...]
 class Record(BaseModel):
     """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
 
-    model_config = ConfigDict(
-        strict=True,
-        extra="forbid",
-        frozen=True,
-        allow_inf_nan=False,
-        defer_build=True,  # tables of other verbs are never built
-    )
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
     removed_keys: ClassVar[Mapping[str, str]] = {}  # remedies for keys of earlier versions
 
     @classmethod
