@@ -112,16 +112,14 @@ def load_again(
     """
 
     def schema_of(data: Mapping[str, Any], source: toml.Source) -> type[CommonKeys]:
-        able = [verb for verb in VERBS if command in verb.commands]
-        if "verb" not in data:
-            return able[0].schema
-        found = find_verb(data["verb"])
+        able, name = [verb for verb in VERBS if command in verb.commands], data.get("verb")
+        found = find_verb(name)
         if found in able:
             return found.schema
-        hint = REMOVED_VERBS.get(str(data["verb"]), "correct the verb")
+        hint = REMOVED_VERBS.get(str(name), "correct the verb")
         hint = f"use slipfree {found.commands[0]} {source.path}" if found else hint
         expected = f"{' or '.join(repr(verb.name) for verb in able)} for this command"
-        words = f"{toml.format_value(data['verb'])}; {hint}"
+        words = "none; add the key" if name is None else f"{toml.format_value(name)}; {hint}"
         raise toml.problem_error(source, [toml.Fault(("verb",), expected, words)])
 
     problem = validated_problem(schema_of, path, text, settings, varied)
