@@ -66,6 +66,13 @@ def test_the_start_is_at_rest_on_the_floor_and_rolls():
 
 
 @pytest.mark.slow
+def test_stairs_are_climbed():
+    run = run_problem(load_problem(STAIRS_FILE, ["driver.period=", *COARSE])).trajectory
+    assert run.facts["obstacles"].value == "climbs"
+    np.testing.assert_allclose(run["center_z"][-1], 3 * 0.06 + 0.066, atol=1e-3)
+
+
+@pytest.mark.slow
 def test_a_sampled_controller_climbs_as_the_continuous_one():
     brief = ["time.duration=0.5", "time.step=0.004"]
     sampled = run_problem(load_problem(STAIRS_FILE, brief)).trajectory

@@ -187,6 +187,13 @@ def test_swallowed_around_a_call(monkeypatch):
         moved()
 
 
+def test_a_progress_that_returns_false_keeps_what_was_reached():
+    whole, run = moved("idas"), moved("idas", lambda t: t < 0.7)
+    assert run.stop.name == "interrupted"
+    assert 0.7 <= run.t[-1] < whole.t[-1]
+    assert_allclose(run["x"][:-1], whole["x"][: run.t.size - 1], atol=1e-8)
+
+
 def test_a_progress_whose_own_motion_is_interrupted():
     """The motion inside is told of it, and what catches it there has dealt with it."""
     times = []
