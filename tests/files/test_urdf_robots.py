@@ -2,7 +2,6 @@
 
 from math import cos, pi, sin
 
-import casadi as ca
 import numpy as np
 import pytest
 
@@ -385,19 +384,6 @@ def test_declared_rockers_have_a_differential_unless_they_have_own_keys(more, co
     vehicle = draft(written(tmp_path, rocker_bogie(), "\n".join(sides)))
     assert len([c for c in vehicle.coordinates if "rocker" in c.name]) == count - 2
     assert any("differential" in note for note in vehicle.notes) == (not more)
-
-
-@pytest.mark.slow
-def test_mirrored_bumps_pitch_a_rover_alike(tmp_path):
-    vehicle = read_vehicle(written(tmp_path, rocker_bogie()))
-    poses = []
-    for side in (-1, 1):
-        ground = Analytic(lambda x, y, s=side: 0.1 * ca.exp(-20 * ((x - 0.3 * s) ** 2 + y * y)))
-        start = settle(direct_kinematics(vehicle, ground))
-        poses.append([start[name][0] for name in ("pitch", "roll", "left_rocker_joint")])
-    (pitch, roll, rocker), mirrored = poses
-    assert abs(pitch) > 1e-3
-    assert np.allclose(mirrored, [pitch, -roll, -rocker], atol=1e-9)
 
 
 @pytest.mark.parametrize(

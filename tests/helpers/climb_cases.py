@@ -125,15 +125,20 @@ def climb(
 
 
 @lru_cache(maxsize=32)
-def planned(profile, mu=None, speed=SPEED, climber=CLIMBER) -> TrackedPlan:
-    """The climb of least slip within a friction, or that of least friction, all legs in one."""
+def solved_legs(profile, mu=None, speed=SPEED, climber=CLIMBER):
+    """Programs and solutions of legs, of least slip within a friction, or of least friction."""
     cost = "friction" if mu is None else "slip"
     ways, found, torques = legs(climber, profile), [], AMPLE * np.array(MOTORS)
     for leg in ways:
         halt = leg is not ways[-1]
         plan = program(climber, profile, leg, cost, mu=mu, speed=speed, torques=torques, halt=halt)
         found.append((plan, solve_nlp(plan.nlp).unknowns))
-    return tracked_plan(found)
+    return found
+
+
+def planned(profile, mu=None, speed=SPEED, climber=CLIMBER) -> TrackedPlan:
+    """The climb of `solved_legs`, all legs in one."""
+    return tracked_plan(solved_legs(profile, mu, speed, climber))
 
 
 def tracking(profile, mu, speed=SPEED) -> Tracking:

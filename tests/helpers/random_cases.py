@@ -18,13 +18,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import slipfree as sf
-from helpers.vehicles import four_wheels, skid_steered
+from helpers.vehicles import all_steered, four_wheels, skid_steered
 from slipfree.catalog import three_wheeler
 from slipfree.core.records import leaves
 from slipfree.problem.schema import SLIP_LAWS
 from slipfree.terrain.rolled import rolled
 from slipfree.terrain.synthetic import blank, craters, power_law, ramp, rocks
-from slipfree.vehicle.sections import Torus
 
 SIDE = 12.0  # of a map, in the middle of which the vehicles start [m]
 UTM = (431_250.0, 5_312_740.0, 812.0)  # where maps with large coordinates lie [m]
@@ -211,17 +210,6 @@ def ground_of(case: Case, radius: float) -> sf.Analytic | sf.Bicubic:
 
 
 # --- vehicles -------------------------------------------------------------------------------------
-
-
-def all_steered() -> sf.Vehicle:
-    """Return a vehicle with three driven wheels, each steered on its own."""
-    places = {"fr": (0.4, 0.5), "fl": (-0.4, 0.5), "b": (0.0, -0.5)}
-    return sf.Vehicle(
-        "all_steered",
-        tuple(sf.Coordinate(f"steer_{k}", "commanded", "steering") for k in places),
-        tuple(sf.Joint(k, "platform", "z", (*at, 0.0), f"steer_{k}") for k, at in places.items()),
-        tuple(sf.Wheel(k, k, (0.0, 0.0, 0.0), Torus(0.03, 0.12), driven=True) for k in places),
-    )
 
 
 def _axles(axle: str) -> Callable[[np.random.Generator, str], sf.Vehicle]:

@@ -20,6 +20,17 @@ def skid_steered():
     )
 
 
+def all_steered():
+    """Return a vehicle with three driven wheels, each steered on its own."""
+    places = {"fr": (0.4, 0.5), "fl": (-0.4, 0.5), "b": (0.0, -0.5)}
+    return Vehicle(
+        "all_steered",
+        tuple(Coordinate(f"steer_{k}", "commanded", "steering") for k in places),
+        tuple(Joint(k, "platform", "z", (*at, 0.0), f"steer_{k}") for k, at in places.items()),
+        tuple(Wheel(k, k, (0.0, 0.0, 0.0), Torus(0.03, 0.12), driven=True) for k in places),
+    )
+
+
 def four_wheels(*, rock):
     """A four-wheeler whose front axle rocks about its forward axis, or not."""
     kind = "suspension" if rock else "passive"

@@ -400,24 +400,6 @@ def test_energy_balances_where_points_slide_over_a_ridge():
     assert np.abs(energy_error(run)).max() < 100 * 1e-8 * run["kinetic_energy"][0]
 
 
-@pytest.mark.slow
-def test_a_rover_hangs_on_a_ridge():
-    """It drives onto a ridge higher than its belly until its front wheels lift and it stops."""
-    ridge = sf.Analytic(
-        lambda x, y: 0.3 * ca.exp(-((x / 0.15) ** 2) - ((y - 2) / 0.4) ** 2), mu=0.5
-    )
-    vehicle = car(BELLY)
-    model = sf.dynamics(vehicle, ridge, law=LAW)
-    inputs = model.inputs(**{label.full: 6.0 for label in model.labels.u.wheels})
-    run = sf.simulate(model, sf.settle(model, y=0.0), inputs, np.linspace(0, 4, 81))
-    assert run.stop is None
-    assert run["body_load"][-1] > 0.4 * WEIGHT
-    assert (run["force_normal"][-1][:2] == 0).all()
-    assert abs(run["velocity_y"][-1]) < 1e-2
-    ended = sf.simulate(sf.dynamics(vehicle, ridge), sf.settle(model, y=0.0), inputs, run.t)
-    assert "the platform touches the ground" in ended.stop.words
-
-
 def test_a_roll_over_ends_on_the_roof():
     """A car dropped upside down, tilted, comes to rest on the corners of its roof."""
     box = Box((0.7, 0.9, 0.5), at=(0.0, 0.35, 0.25))

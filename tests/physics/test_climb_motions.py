@@ -6,6 +6,7 @@ three axles, in percent.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -36,7 +37,7 @@ from helpers.climb_cases import (
 from helpers.commands import refuses
 from slipfree import SolverOptions
 from slipfree.catalog import AXLES, step_climber
-from slipfree.climb.metrics import climb_metrics, climb_window, disturbance_ratio, slip_ratio
+from slipfree.climb.metrics import climb_metrics, disturbance_ratio, slip_ratio
 from slipfree.control.step_climbing import (
     PerAxle,
     StepClimbing,
@@ -284,16 +285,11 @@ def test_what_does_not_touch_is_refused():
 HELD = [f"{axle}_torque" for axle in AXLES]
 
 
-def slip(*case, **options):
-    return 100 * climb(*case, **options).metrics.slip.mean()
+def average(name, *case, **options):
+    return 100 * getattr(climb(*case, **options).metrics, name).mean()
 
 
-def true(*case, **options):
-    return 100 * climb(*case, **options).metrics.true_slip.mean()
-
-
-def disturbance(*case, **options):
-    return 100 * climb(*case, **options).metrics.disturbance.mean()
+slip, true, disturbance = (partial(average, name) for name in ("slip", "true_slip", "disturbance"))
 
 
 def climbed(*case, **options):
@@ -306,15 +302,19 @@ def ratio(measure, profile, control, contact, **options):
     )
 
 
+def placed_at(start, **values):
+    """Return a start with other values of some quantities."""
+    columns = {k: start.columns[k]._replace(values=np.atleast_1d(v)) for k, v in values.items()}
+    return replace(start, columns=start.columns | columns)
+
+
 # Statics, energy and accuracy
 
 
 def test_dropped_on_the_floor_it_comes_to_rest_under_its_weight():
     _, dae = gripped(step_climber(), flat(), FIXED, TABLE_I)
     rest = settle(dae, y=0.0)
-    raised = {"z": rest["z"] + 1e-3, "fold": rest["fold"] + 0.003}
-    columns = {k: Column(rest.columns[k].label, v) for k, v in raised.items()}
-    start = replace(rest, columns={**rest.columns, **columns})
+    start = placed_at(rest, z=rest["z"] + 1e-3, fold=rest["fold"] + 0.003)
     run = simulate(dae, start, dae.inputs(reference_speed=0.0), np.linspace(0, 1.5, 11))
     assert_allclose(run["force_normal"][-1, ::-1], [67.07, 93.83, 51.00], rtol=2e-3)
     assert_allclose(rest["force_normal"][0, ::-1], [67.07, 93.83, 51.00], rtol=2e-3)
@@ -503,21 +503,9 @@ def sampled(period, control, start=None, until=3.4, torque=AMPLE):
     held = held_torques(dae, control)
     t = np.arange(round(until / period) + 1) * period
     if start is not None:
-        columns = {name: Column(rolling.columns[name].label, 0 * rolling[name]) for name in rolling}
-        columns |= {k: Column(columns[k].label, np.array([v])) for k, v in start.items()}
-        rolling = replace(rolling, columns=columns)
+        rolling = placed_at(rolling, **{name: 0 * rolling[name] for name in rolling} | start)
     inputs = dae.inputs(reference_speed=SPEED, **held)
     return simulate_sampled(dae, rolling, inputs, t, options=SolverOptions(tolerance=1e-6))
-
-
-@pytest.mark.slow
-def test_a_sampled_controller_does_as_the_continuous_one():
-    continuous, run = climb(RAMP, SENSED, TABLE_I), sampled(2e-3, SENSED)
-    assert run.stop is None
-    assert_allclose(run["y"], continuous.run["y"][: run.t.size], atol=2e-3)
-    held = np.stack([run[name] for name in HELD], axis=1)
-    assert_allclose(held, run["motor_torque"] * [2, 1, 2], atol=1e-12)
-    assert climb_window(run, continuous.vehicle, RAMP).climbed
 
 
 def test_too_slow_a_sampled_controller_is_refused_since_free_wheels_swing_up():
@@ -595,9 +583,7 @@ def test_directions_over_a_kerb(place, expected):
 def test_falling_over_is_named():
     _, dae = gripped(step_climber(), flat(), FIXED, TABLE_I)
     rest = settle(dae, y=0.0)
-    values = {"z": 0.4, "pitch": 0.3, "fold": -0.3, "omega_x": -9.0, "fold_rate": 18.0}
-    columns = {k: Column(rest.columns[k].label, np.array([v])) for k, v in values.items()}
-    start = replace(rest, columns={**rest.columns, **columns})
+    start = placed_at(rest, z=0.4, pitch=0.3, fold=-0.3, omega_x=-9.0, fold_rate=18.0)
     t, options = np.linspace(0, 1, 101), SolverOptions(tolerance=1e-6)
     run = simulate(dae, start, dae.inputs(reference_speed=0.0), t, options=options)
     assert run.stop.name == "front_upright"

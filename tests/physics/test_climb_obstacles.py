@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.climb_drawn import drawn, drive, finite
 from helpers.commands import refuses
 from slipfree.catalog import AXLES, step_climber
 from slipfree.core.errors import ModelError
@@ -232,25 +231,3 @@ def test_what_falls_over_tips():
 def test_a_floor_is_no_obstacle():
     found = ending(0.25 * T, touching=False)
     assert (found.name, found.words) == ("unfinished", "no wheel touched an obstacle")
-
-
-SEEDS = {  # of a kerb, steps, stairs, ramps; 36 sampled
-    99: "stalls",
-    36: "stalls",
-    82: "tips over",
-    24: "climbs",
-    162: "climbs",
-    43: "climbs",
-    84: "tips over",
-    57: "climbs",
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", SEEDS)
-def test_climbs_at_random(seed):
-    case = drawn(seed)
-    run = drive(case)
-    assert finite(run)
-    found = obstacle_ending(run, case.vehicle, placed(case.profile))
-    assert found.name == SEEDS[seed], found.words

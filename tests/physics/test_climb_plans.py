@@ -17,7 +17,6 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq, linprog
 
 from helpers.climb_cases import (
-    AMPLE,
     CLIMBER,
     FIXED,
     MOTORS,
@@ -26,6 +25,7 @@ from helpers.climb_cases import (
     STEP,
     Grip,
     planned,
+    solved_legs,
     tracking,
 )
 from helpers.climb_cases import climb as driven_climb
@@ -546,28 +546,15 @@ def test_programs_are_solved_in_their_own_units():
 # Tracking
 
 
-@cache
-def plans():
-    """Programs and solutions of the legs over the step, for a friction of 0.7."""
-    found, torques = legs(CLIMBER, STEP), AMPLE * np.array(MOTORS)
-    programs = [
-        contact_path.climb(
-            CLIMBER, STEP, leg, "slip", mu=0.7, torques=torques, halt=leg is not found[-1]
-        )
-        for leg in found
-    ]
-    return [(plan, solve_nlp(plan.nlp).unknowns) for plan in programs]
-
-
 def driven(control, mu, part=0.75, until=13.0):
     motion = driven_climb(STEP, control, Grip(mu, part * mu), until=until)
     return motion, obstacle_ending(motion.run, motion.vehicle, placed(STEP)).name
 
 
 def test_a_course_is_the_plan_over_the_progress():
-    track, starts = contact_path.tracked_plan(plans()), 0
+    track, starts = planned(STEP, 0.7), 0
     assert (np.diff(track.p) > 0).all()
-    for plan, unknowns in plans():
+    for plan, unknowns in solved_legs(STEP, 0.7):
         told, middles = contact_path.history(plan, unknowns), plan.middles
         p = contact_path.progress(middles)
         columns = ("torques", told.torque), ("directions", None), ("speeds", middles.speeds)
@@ -589,13 +576,13 @@ def test_a_course_is_the_plan_over_the_progress():
 
 
 def test_unusable_trackings_are_refused():
-    plan, unknowns = plans()[2]
+    plan, unknowns = solved_legs(STEP, 0.7)[2]
     backwards = replace(plan, nodes=plan.nodes._replace(axles=plan.nodes.axles[::-1]))
     with pytest.raises(ModelError, match=r"mean of x . z.*decrease at -?0\.\d+ m"):
         contact_path.tracked_plan([(backwards, unknowns)])
     for name in ("proportional", "spare", "lead"):
         with pytest.raises(ModelError, match=f"Tracking: {name}: expected a number > 0, found 0"):
-            contact_path.Tracking(contact_path.tracked_plan(plans()), **{name: 0.0})
+            contact_path.Tracking(planned(STEP, 0.7), **{name: 0.0})
 
 
 @pytest.mark.slow
@@ -603,7 +590,7 @@ def test_a_tracked_plan_climbs_with_less_friction_than_references():
     """Least friction of both, to 0.005: 0.715 and 0.785."""
     assert driven(tracking(STEP, 0.725), 0.725)[1] == "climbs"
     refuses(SolverError, "no solution", tracking, STEP, 0.70)
-    assert driven(contact_path.Tracking(contact_path.tracked_plan(plans())), 0.68)[1] == "stalls"
+    assert driven(contact_path.Tracking(planned(STEP, 0.7)), 0.68)[1] == "stalls"
     for control in (FIXED, SENSED):
         assert driven(control, 0.76, until=6.0)[1] != "climbs"
 
@@ -616,7 +603,7 @@ def test_a_plan_of_least_friction_need_not_know_the_friction():
 
 
 def test_motion_and_torques_are_those_planned():
-    control = contact_path.Tracking(contact_path.tracked_plan(plans()))
+    control = contact_path.Tracking(planned(STEP, 0.7))
     motion, _ = driven(control, 1.0, part=1.0)
     run, track = motion.run, control.plan
     p = (run["center_y"] + run["center_z"]).mean(axis=1) + control.lead
@@ -635,6 +622,6 @@ def test_motion_and_torques_are_those_planned():
 
 
 def test_it_is_driven_at_the_speed_before_and_behind_the_plan():
-    run = driven(contact_path.Tracking(contact_path.tracked_plan(plans())), 0.9)[0].run
+    run = driven(contact_path.Tracking(planned(STEP, 0.7)), 0.9)[0].run
     assert_allclose(run["velocity_y"][-1], SPEED, atol=2e-3)
     assert run["velocity_y"][np.argmax(run["solid_gap_1", "front"] < 0)] < 0.08

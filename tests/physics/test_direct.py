@@ -173,16 +173,6 @@ def test_signs_of_pitch_and_roll():
     assert sf.settle(east_is_low)["roll"][0] == pytest.approx(np.arctan(0.2))
 
 
-def test_analytic_and_spline_ground_agree():
-    """The spline of a fine grid drives like the formula it was sampled from."""
-    axes = np.arange(-4, 4.01, 0.05)
-    z = sf.Analytic(hills).elevation(*np.meshgrid(axes, axes, indexing="ij"))
-    smooth = drive(sf.Analytic(hills), T, tolerance=TOLERANCE)
-    run = drive(sf.Bicubic(sf.Grid(axes, axes, z)), T, tolerance=TOLERANCE)
-    for name in MOTION:
-        assert_allclose(run[name], smooth[name], rtol=0, atol=1e-6, err_msg=name)
-
-
 # Vehicles locked to a plane, and of models with a controller
 
 WAVES = sf.Analytic(lambda _x, y: 0.05 * ca.sin(2 * y), mu=0.8)

@@ -9,12 +9,10 @@ from numpy.testing import assert_allclose
 import slipfree as sf
 from helpers.cases import closure_model, hills
 from helpers.commands import refuses
-from helpers.vehicles import skid_steered
+from helpers.vehicles import all_steered, skid_steered
 from slipfree.catalog import ackermann, skid_steer, three_wheeler
 from slipfree.control import path_following as laws
 from slipfree.terrain.synthetic import blank, power_law
-from slipfree.vehicle.sections import Torus
-from slipfree.vehicle.tree import Coordinate, Joint, Vehicle, Wheel
 
 WAY = np.array([(0, 0), (25, 3), (50, 0), (75, -3), (100, 0)], dtype=float)
 FLAT = sf.Analytic(lambda x, _: 0 * x)
@@ -122,14 +120,7 @@ def test_differential_drive_follows_too():
 
 
 def test_all_wheels_steered_turn_about_the_centre():
-    places = {"fr": (0.4, 0.5), "fl": (-0.4, 0.5), "b": (0.0, -0.5)}
-    vehicle = Vehicle(
-        "all_steered",
-        tuple(Coordinate(f"steer_{k}", "commanded", "steering") for k in places),
-        tuple(Joint(k, "platform", "z", (*at, 0.0), f"steer_{k}") for k, at in places.items()),
-        tuple(Wheel(k, k, (0.0, 0.0, 0.0), Torus(0.03, 0.12), driven=True) for k in places),
-    )
-    dae, path = closure_model(vehicle, FLAT), sf.Path(WAY[:3])
+    dae, path = closure_model(all_steered(), FLAT), sf.Path(WAY[:3])
     start = sf.settle(dae, heading=heading_at_start(path, 0.0))
     run = sf.simulate(dae, start, sf.follow(dae, path, speed=0.3), np.linspace(0, 60, 61))
     assert cross_track(run, path).max() < 0.05

@@ -133,6 +133,7 @@ def test_a_motion_ends_at_a_hole(tmp_path: Path) -> None:
     run = run_problem(_read(tmp_path, FILE, "time.duration=60")).trajectory
     assert run.stop is not None
     assert run.stop.name == "hole_margin[front]"
+    assert "reaches a hole in the map" in run.stop.words
     assert run["contact_y", "front"][-1] == pytest.approx(2.25 - 0.25 / 3, abs=1e-6)
     _, facts = _grounds(tmp_path, z=z, x=x, y=y)
     assert facts["ground holes"].startswith("1271 of 2501 nodes have no height")

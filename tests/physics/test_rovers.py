@@ -169,12 +169,6 @@ def test_noise_that_no_wheel_follows_is_named_and_rolled_away():
     assert run.stop is None
 
 
-def test_a_caster_without_trail_is_named():
-    vehicle = differential_drive(trail=0.0, **LIGHT)
-    dae = closure_model(vehicle, FLAT)
-    refuses(sf.ModelError, r"no equation determines caster_angle_rate", sf.settle, dae)
-
-
 # Seven cases on hills: inputs, start
 
 

@@ -16,7 +16,7 @@ from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.core.trajectory import Outcome, Stop
 from slipfree.geometry.frame import Pose
 from slipfree.models.samples import obstacle_ending
-from slipfree.terrain.solids import Prism, Solid, kerb, placed, ramp, stairs, step
+from slipfree.terrain.solids import Prism, Solid, kerb, placed, ramp, step
 from slipfree.vehicle.sections import Disc, Sphere, Torus
 from slipfree.vehicle.tree import Wheel
 
@@ -227,20 +227,6 @@ def test_rocky_7_climbs_a_step_higher_than_its_wheels_at_a_heading():
     right = climbing(vehicle, ground, -np.deg2rad(20), 0.2, 1.53, 18)
     assert_allclose(-right["x"], run["x"][:18], atol=1e-5)  # before wheels slide
     assert_allclose(right["z"], run["z"][:18], atol=1e-5)
-
-
-@pytest.mark.slow
-def test_a_rigid_four_wheeler_climbs_stairs_that_its_wheels_can():
-    ground = sf.Solids(GRIPPY, placed(stairs(0.05, 0.6, 2), y=1.2))
-    run = climbing(sf.catalog.rigid_skid_steer(), ground, 0.1, 0.4, 7.0)
-    assert run.stop is None
-    assert run["solid_load_2"][-1].max() > 0
-    assert run["center_z"][-1].max() > 0.1 + 0.1
-    assert ledger(run) < 1
-    ending = obstacle_ending(run, sf.catalog.rigid_skid_steer(), ground.prisms)
-    assert ending.name == "climbs"
-    assert ending.t < 7.0
-    assert "z = 0.1 m" in ending.words
 
 
 @pytest.mark.slow

@@ -286,7 +286,6 @@ def test_a_rigid_vehicle_is_refused_with_the_models_that_answer():
 
 RADIUS = 0.3  # of a wheel, the lever arm of the rolling direction's force [m]
 FLAT = np.column_stack([(0, 1, 0), (-1, 0, 0), (0, 0, 1)])  # along, across, normal of a plane
-THREE = np.array([(1.0, -0.5, 0.0), (-1.0, -0.5, 0.0), (0.0, 1.0, 0.0)])  # right, left, front [m]
 SQUARE = np.array([(1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (1.0, -1.0, 0.0)])
 
 
@@ -305,11 +304,6 @@ def on_slope(slope, heading):
     """Gravity in the axes of a vehicle on a plane, heading zero is up the slope."""
     down = np.array([np.sin(heading), -np.cos(heading), 0.0])
     return np.sin(slope) * down - np.cos(slope) * np.array([0.0, 0.0, 1.0])
-
-
-def three_wheeler_distribution(heading):
-    gravity = on_slope(np.radians(20), heading)
-    return equations(THREE, [FLAT] * 3, np.array([0.0, 0.0, 0.3]), gravity, free=[2])
 
 
 def random_cases(seed, n, m, n_free):
@@ -364,22 +358,11 @@ def room_in_polygons(matrix, load, friction, utilisation, force):
     return found.x[-1]
 
 
-@pytest.mark.parametrize(("heading", "expected"), [(0, 0.4922), (45, 0.4366), (90, 0.3640)])
-def test_three_wheeler_on_a_slope(heading, expected):
-    matrix, load = three_wheeler_distribution(np.radians(heading))
-    best = least_utilisation(matrix[None], load[None], np.ones((1, 3)))
-    assert best.utilisation == pytest.approx(expected, abs=1e-4)
-    below = best.utilisation[0] - 1e-4
-    assert room_in_polygons(matrix, load, np.ones(3), below, best.force[0]) < 0
-    if heading == 0:
-        sine, cosine = np.sin(np.radians(20)), np.cos(np.radians(20))
-        front = (0.5 * cosine - 0.3 * sine) / 1.5  # moments about the rear axle's contacts
-        np.testing.assert_allclose(best.utilisation, sine / (cosine - front), rtol=1e-7)
-
-
-@pytest.mark.parametrize(("m", "n_free"), [(3, 1), (4, 2), (8, 6)])
-def test_forces_attain_the_least_utilisation(m, n_free):
-    matrix, load, friction = random_cases(m + n_free, 12, m, n_free)
+@pytest.mark.parametrize(
+    ("count", "m", "n_free"), [(50, 3, 3), (12, 3, 1), (12, 4, 2), (12, 8, 6)]
+)  # the first leave the forces no choice, and few of them can be held
+def test_forces_attain_the_least_utilisation(count, m, n_free):
+    matrix, load, friction = random_cases(m + n_free, count, m, n_free)
     best = least_utilisation(matrix, load, friction)
     held = np.isfinite(best.utilisation)
     assert held.sum() > 6
@@ -390,19 +373,6 @@ def test_forces_attain_the_least_utilisation(m, n_free):
         assert (normal > -1e-9).all()
         assert (tangential <= s * friction[k] * (normal + 2e-9)).all()
         assert room_in_polygons(matrix[k], load[k], friction[k], (1 - 1e-4) * s, force) < 0
-
-
-def test_determinate_vehicle_equals_the_direct_solve():
-    matrix, load, friction = random_cases(4, 50, 3, 3)
-    direct = np.linalg.solve(matrix, -load[..., None])[..., 0]
-    tangential, normal = wheels(direct)
-    held = (normal > 0).all(1)
-    assert 0 < held.sum() < 50
-    best = least_utilisation(matrix, load, friction)
-    assert (np.isfinite(best.utilisation) == held).all()
-    np.testing.assert_allclose(best.force[held], direct[held], atol=1e-10)
-    ratio = (tangential / (friction * normal)).max(1)
-    np.testing.assert_allclose(best.utilisation[held], ratio[held], rtol=1e-6)
 
 
 @pytest.mark.parametrize("slope", [0.0, np.radians(25)])

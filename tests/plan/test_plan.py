@@ -14,7 +14,6 @@ from helpers.cases import BOUNDED_RATES, PROBLEMS, hills, straight_on
 from helpers.commands import invoke, refuses, sets
 from slipfree.catalog import three_wheeler
 from slipfree.files import netcdf
-from slipfree.models.samples import measured_slip
 from slipfree.plan.pareto import FrontPoint, pareto_front
 from slipfree.plan.robust import (
     MAX_ROUNDS,
@@ -25,7 +24,6 @@ from slipfree.plan.robust import (
     added_tightening,
     robust_plan,
 )
-from slipfree.plan.verification import inputs_along
 from slipfree.problem.load import verb_of
 
 PROBLEM = PROBLEMS / "plan_rigid_hills.toml"
@@ -86,34 +84,6 @@ def test_a_limited_cost_is_at_its_limit():
     _, _, none = asked(cost_limits={"effort": 0.5 * least}, **given)
     assert none.run.outcome is sf.Outcome.INFEASIBLE
     assert "cost effort: " in none.run.stop.words
-
-
-@pytest.mark.slow
-def test_tilting_wheels_keep_to_their_limit_without_slip():
-    """Slip is measured on the poses of the simulation."""
-    vehicle, parts, count, duration = three_wheeler(), 20, 10, 10.0
-    dae, start, found = asked(
-        vehicle,
-        goal={"x": 0.3, "y": 1.3},
-        duration=duration,
-        mesh=sf.Mesh(count),
-        costs={"effort": 0.01, "tilt_right": 1.0, "tilt_left": 1.0},
-        limits={"tilt_right": (-0.35, 0.35), "tilt_left": (-0.35, 0.35), "steer": (-1.0, 1.0)},
-    )
-    assert found.success
-    for name in ("tilt_right", "tilt_left"):
-        assert np.abs(found.replay[name]).max() < 0.35 + 1e-5
-    even = np.linspace(0, duration, count * parts + 1)
-    run = sf.simulate(
-        dae,
-        start,
-        inputs_along(dae, found.motion, even),
-        even,
-        options=sf.SolverOptions(tolerance=1e-11),
-    )
-    slip = np.linalg.norm(measured_slip(vehicle, run), axis=2)
-    inside = np.array([2 <= k % parts <= parts - 2 for k in range(2, run.t.size - 2)])
-    assert slip[inside].max() < 1e-7  # at a kink of the inputs difference quotients are less exact
 
 
 @pytest.mark.slow
