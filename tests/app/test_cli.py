@@ -162,7 +162,8 @@ def test_early_ends_and_bad_input_in_json() -> None:
     assert found["result"]["stop"]["name"] == motion.stop.name == "map_margin[front]"
     assert found["result"]["stop"]["time"] == motion.stop.t == pytest.approx(1.25, abs=1e-5)
     assert motion.t[-1] == pytest.approx(1.25, abs=1e-5)
-    assert motion.stop.words.startswith("wheel front leaves the map")
+    words = "wheel front leaves the map, which extends from -3.00 to 3.00 m in x"
+    assert motion.stop.words.startswith(words)
     assert (found["outcome"], found["exit_code"]) == ("limit", 1)
     title = "limit reached at t = 1.25 s (map_margin[front])"
     assert found["errors"] == [f"{title}; p.nc contains the result so far"]

@@ -26,6 +26,14 @@ def _text(separator=",", head="t,x,heading", factors=1.0):
     return "\n".join([*([head.replace(",", separator)] if head else []), *lines, ""])
 
 
+def _timed(*stamps, head="t"):
+    """Return the table with other stamps in the place of its times."""
+    text = _text(head=f"{head},x,heading")
+    for time, stamp in zip(ROWS[:, 0].tolist(), stamps, strict=True):
+        text = text.replace(f"\n{time}", f"\n{stamp}")
+    return text
+
+
 def test_a_result_is_a_path(tmp_path):
     """Its columns are found by name, ``time`` as ``t``, and others are skipped."""
     t = np.linspace(0, 1, 9001)  # more than a block
@@ -66,26 +74,15 @@ LAYOUTS = {
     "milliseconds and degrees": _text(";", "t_ms,x [mm],yaw_mrad", [1e-3, 1e-3, 1e-3]).encode(
         "latin-1"
     ),
-    "dates": _text()
-    .replace("\n0.0", "\n2026-03-01 12:00:00")
-    .replace("\n0.5", "\n2026-03-01T12:00:00.5")
-    .replace("\n1.0", "\n2026-03-01T12:00:01Z"),
-    "times of day over midnight": _text()
-    .replace("\n0.0", "\n23:59:59.5")
-    .replace("\n0.5", "\n00:00:00")
-    .replace("\n1.0", "\n00:00:00.500"),
-    "minutes and seconds": _text()
-    .replace("\n0.0", "\n01:59.5")
-    .replace("\n0.5", "\n02:00.0")
-    .replace("\n1.0", "\n02:00.5"),
-    "seconds and nanoseconds": _text(head="stamp.sec,stamp.nanosec,x,heading")
-    .replace("\n0.0", "\n1700000000,0")
-    .replace("\n0.5", "\n1700000000,500000000")
-    .replace("\n1.0", "\n1700000001,0"),
-    "nanoseconds since 1970": _text(head="stamp [ns],x,heading")
-    .replace("\n0.0", "\n1700000000000000000")
-    .replace("\n0.5", "\n1700000000500000000")
-    .replace("\n1.0", "\n1700000001000000000"),
+    "dates": _timed("2026-03-01 12:00:00", "2026-03-01T12:00:00.5", "2026-03-01T12:00:01Z"),
+    "times of day over midnight": _timed("23:59:59.5", "00:00:00", "00:00:00.500"),
+    "minutes and seconds": _timed("01:59.5", "02:00.0", "02:00.5"),
+    "seconds and nanoseconds": _timed(
+        *("1700000000,0", "1700000000,500000000", "1700000001,0"), head="stamp.sec,stamp.nanosec"
+    ),
+    "nanoseconds since 1970": _timed(
+        *(f"17000000{each}00000000" for each in ("000", "005", "010")), head="stamp [ns]"
+    ),
 }
 
 

@@ -213,24 +213,6 @@ def test_wrong_angles_of_rollers_are_refused(tmp_path, value):
     refuses(VehicleError, words, read, tmp_path, text)
 
 
-def test_a_ball_with_rollers_is_a_frictionless_caster(tmp_path):
-    """The cart spins on the spot and drives on, its ball pushed any way, without slip."""
-    wheels = LONG[: LONG.index("[[coordinates]]")] + LONG[LONG.index("[[wheels]]") :]
-    text = wheels.replace(
-        'parent = "fork"\nat = [-0.08, 0, -0.05]\nradius = 0.1\n',
-        'parent = "platform"\nat = [0.3, 0, -0.1]\nradius = 0.05\ntube = 0.05\n'
-        'rollers = "90 deg"\n',
-    )
-    vehicle = read(tmp_path, text)
-    dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
-    for left, right in ((-2.0, 2.0), (1.0, 2.0)):
-        rates = dae.inputs(left_rate=left, right_rate=right)
-        run = simulate(dae, settle(dae), rates, np.linspace(0, 1, 5))
-        assert_allclose(run["heading"], run.t * 0.15 * (right - left) / 0.5, atol=1e-9)
-        for slip in ("slip_along", "slip_across"):
-            assert_allclose(run[slip], 0, atol=1e-12)
-
-
 ROCKERS = """\
 name = "rover"
 frame = "rep103"

@@ -59,17 +59,6 @@ class Climb(NamedTuple):
         """Averages over the climb."""
         return climb_metrics(self.run, self.vehicle, self.profile)
 
-    @property
-    def energy(self):
-        """Kinetic, potential and contact energy [J]."""
-        return sum(self.run[f"{name}_energy"] for name in ("kinetic", "potential", "contact"))
-
-    @property
-    def imbalance(self) -> float:
-        """Largest error of the energy's balance [J]."""
-        given = self.run["work"] - self.run["lost_energy"]
-        return float(np.abs(self.energy - self.energy[0] - given).max())
-
 
 def foot(profile):
     """Place of the front axle just before the ramp or step. [m]."""

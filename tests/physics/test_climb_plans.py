@@ -274,18 +274,6 @@ def test_highest_step_for_a_friction():
     assert low < 0.4 < high
 
 
-def test_heavier_vehicles_need_the_same_friction():
-    """Friction is a ratio of forces: it does not depend on the scale of the masses."""
-    leg, path = ways("90 mm")[2][1]
-    (joint,), body = CLIMBER.joints, CLIMBER.body
-    front = replace(joint, body=replace(joint.body, mass=7 * joint.body.mass))
-    heavy = replace(CLIMBER, body=replace(body, mass=7 * body.mass), joints=(front,))
-    light, more = (
-        demand(each, leg, sample(each, STEP, leg, path.s[::40])).mu for each in (CLIMBER, heavy)
-    )
-    assert_allclose(more, light, rtol=1e-7, atol=1e-9)
-
-
 # Time scaling
 
 

@@ -1,7 +1,5 @@
 """Tests of the catalogue's rovers: textbook motion, published end points, poor starts, noise."""
 
-import re
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -19,7 +17,6 @@ from slipfree.catalog import (
     skid_steer,
 )
 from slipfree.core.records import leaves
-from slipfree.terrain.rolled import rolled
 from slipfree.vehicle.tree import body_inertia
 
 FLAT, HILLS = sf.Analytic(lambda x, _: 0 * x), sf.Analytic(hills)
@@ -153,22 +150,6 @@ def test_rocky_7_has_the_inertia_that_another_code_assumes():
     assert_allclose(np.diag(cart), [0.6625, 0.3825, 1.0], rtol=1e-12)
 
 
-@pytest.mark.slow
-def test_noise_that_no_wheel_follows_is_named_and_rolled_away():
-    grid = rover_ground()
-    noise = np.random.default_rng(5).normal(0, 0.005, grid.z.shape)
-    rough = sf.Grid(grid.x, grid.y, grid.z + noise)
-    words = r"wheel (front|middle|rear)_\w+.*(more concave than the wheel|touches a second time)"
-    try:
-        found = rocky_run(rough).stop.words
-    except sf.ModelError as error:
-        found = str(error)
-    assert re.search(words, found)
-    part = sf.Grid(rough.x[20:80], rough.y[20:80], np.ascontiguousarray(rough.z[20:80, 20:80]))
-    run = rocky_run(rolled(part, 0.065).grid, tolerance=1e-4, duration=2.0)  # 10 s: benchmarks
-    assert run.stop is None
-
-
 # Seven cases on hills: inputs, start
 
 
@@ -222,29 +203,6 @@ def test_every_vehicle_stands_drives_and_creeps(make):
         places.append(np.array([run["x"][-1], run["y"][-1]]))
     assert np.linalg.norm(places[0] - [0.3, 0]) > 0.6
     assert np.linalg.norm(places[0] - places[1]) < 5e-3
-
-
-@pytest.mark.slow
-def test_an_articulated_vehicle_is_planned_for():
-    vehicle = CATALOG["articulated"]
-    dae = closure_model(vehicle, HILLS)
-    start, t, options = sf.settle(dae, heading=0.2), np.linspace(0, 5, 6), sf.SolverOptions(1e-6)
-    guess = sf.simulate(dae, start, ahead(dae, vehicle, start), t, options=options)
-    found = sf.plan(
-        dae,
-        start,
-        guess,
-        goal={"x": float(guess["x"][-1]) + 0.05, "y": float(guess["y"][-1])},
-        costs={"slip": 100.0, "effort": 1e-3},
-        duration=5.0,
-        smooth=1e-3,
-        mesh=sf.Mesh(4, degree=2, accuracy=1e-2),
-    )
-    assert found.success
-    assert found.accurate
-    assert max(found.difference[name] for name in ("x", "y")) < 1e-2
-    run = found.run
-    assert (run["center_z"] > HILLS.elevation(run["center_x"], run["center_y"])).all()
 
 
 # Seven wheels on rollers

@@ -351,17 +351,6 @@ def test_lift_off_ends_the_motion_by_its_name_where_forces_become_singular():
     assert run["force_normal"][-1].min() < 1e-3 * run["force_normal"][0].min()
 
 
-def test_vehicle_leaves_the_map_at_the_edge():
-    dae = direct_kinematics(three_wheeler(), Analytic(hills, (-3.0, 3.0, -3.0, 1.5)))
-    rates = dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
-    run = simulate(dae, settle(dae), rates, np.linspace(0, 20, 41))
-    assert run.stop.name == "map_margin[front]"
-    assert run.outcome is Outcome.LIMIT
-    assert "wheel front leaves the map, which extends from -3.00 to 3.00 m in x" in run.stop.words
-    assert_allclose(run["contact_y", "front"][-1], 1.5, atol=1e-5)
-    assert run.t[-1] == run.stop.t
-
-
 def test_an_unknown_quantity_is_refused():
     dae = direct_kinematics(three_wheeler(), Analytic(hills))
     run = settle(dae)
