@@ -1,0 +1,702 @@
+"""Tests of problems with inertia, of rigid vehicles, of step climbers, and of plans."""
+
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.patches import Circle, Polygon
+
+from helpers.cases import PROBLEMS
+from helpers.climb_cases import AMPLE, RAMP, SENSED, TABLE_I, climb, foot
+from helpers.commands import invoke, printed, sets
+from helpers.dynamics import energy_error
+from helpers.problem_files import rough_ground
+from slipfree import Bicubic, Solids, catalog
+from slipfree.catalog import step_climber
+from slipfree.climb.metrics import climb_metrics
+from slipfree.core.trajectory import PLAN, Outcome, Stop
+from slipfree.files.netcdf import read, write
+from slipfree.files.vehicle_toml import vehicle_text
+from slipfree.plan import search as searching
+from slipfree.plan.ipopt import SOLVED_STATUS
+from slipfree.plan.plan import Plan
+from slipfree.plan.polynomial_motion import from_arrays
+from slipfree.problem.build import build_solids
+from slipfree.problem.build_ground import build_ground
+from slipfree.problem.load import load_problem, verb_of
+from slipfree.problem.result import build, motion_facts, open_result, run_problem
+from slipfree.problem.verbs import plan_search as module
+from slipfree.problem.verbs.base import Result
+from slipfree.problem.verbs.plan import PlanVerb, figure_options, with_offer
+from slipfree.problem.verbs.plan_search import start_motion
+from slipfree.problem.verbs.plan_setup import regions
+from slipfree.show import plots
+from slipfree.show.plan_figures import plan_plots
+from slipfree.show.plots import draw
+from slipfree.terrain.solids import section_of
+
+ROCKS = str(PROBLEMS / "dynamics_rocks.toml")
+
+
+@pytest.mark.slow
+def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path, monkeypatch):
+    file = tmp_path / "r.nc"
+    invoke("run", ROCKS, "-o", file, "--set", "time.duration=0.5", "--no-draw", code=0)
+    for name in ("compliant contact", "energy balance", "a prediction with"):
+        assert name in printed("info", file)
+    result = open_result(file)
+    run, figures = result.trajectory, verb_of(result.problem).figures(result)
+    flies = (run["depth"] < 0).all(axis=1).any()
+    assert ("vehicle in the air" in printed("info", file)) == flies
+    assert {"contact", "energy", "checks"} <= {each.name for each in figures}
+    exchanged = np.abs(run["work"]).max() + run["lost_energy"][-1]
+    assert np.abs(energy_error(run)).max() < 100 * 1e-6 * exchanged
+    assert run["velocity_x"][0] == pytest.approx(1.0, abs=0.01)  # the initial speed
+    monkeypatch.setattr("slipfree.problem.verbs.base.DriveVerb.figures", lambda *_: ())
+    invoke("report", file, "-o", tmp_path / "r.html", code=0)
+    invoke("show", file, "--html", tmp_path / "page.html", code=0)
+
+
+@pytest.mark.slow
+def test_a_car_jumps_from_a_ledge(tmp_path):
+    file = tmp_path / "r.nc"
+    name = PROBLEMS / "dynamics_ledge.toml"
+    invoke("run", name, "-o", file, "--set", "time.duration=0.8", "--no-draw", code=0)
+    told = printed("info", file)
+    run = open_result(file).trajectory
+    flying = (run["depth"] < 0).all(axis=1)
+    t = run.t[flying]
+    assert f"{t[-1] - t[0] + 0.005:.3g} s in all" in told
+    assert "4 lift-offs, counted per wheel" in told
+    lifted = run["depth"] < 0
+    for quantity in ("slip_along", "slip_across", "slip_ratio", "force_normal"):
+        assert np.abs(run[quantity][lifted]).max() == 0
+    travel = run["front_left_travel"]
+    assert travel[lifted[:, 2]].min() < -0.02  # the spring pushes the wheel down in the air
+    assert travel.max() > 0.02  # and yields at the landing
+
+
+@pytest.mark.slow
+def test_skid_steering_depends_on_the_model_and_with_inertia_on_the_speed(tmp_path):
+    """At half the rates in twice the time, a quarter of the difference is left."""
+    file, ends = tmp_path / "r.nc", {}
+    for model, factor in (("kinematics", 1), ("quasi-static", 1), ("dynamics", 1), ("dynamics", 2)):
+        wheels = [f"{end}_{side}_rate" for end in ("front", "rear") for side in ("left", "right")]
+        rates = [f"{name}={factor * (2 if 'left' in name else 4)}" for name in wheels]
+        options = [f"model={model}", f"inputs={{{','.join(rates)}}}", f"time.duration={6 / factor}"]
+        settings = sets(*options)
+        name = PROBLEMS / "dynamics_skid_turn.toml"
+        invoke("run", name, "-o", file, "--no-draw", *settings, code=0)
+        run = open_result(file).trajectory
+        ends[model, factor] = np.array([run["x"][-1], run["y"][-1]])
+    still = ends["quasi-static", 1]
+    slow, fast = (np.hypot(*(ends["dynamics", k] - still)) for k in (1, 2))
+    assert np.hypot(*(ends["kinematics", 1] - still)) > 0.2
+    assert slow < 0.03
+    assert 3 < fast / slow < 6
+
+
+@pytest.mark.slow
+def test_a_motor_spins_its_wheel_on_ice(tmp_path):
+    file = tmp_path / "r.nc"
+    done = invoke("run", PROBLEMS / "dynamics_ice.toml", "-o", file, "--no-draw", code=0)
+    assert "diagnostics failed" not in done.output
+    run = open_result(file).trajectory
+    on_ice = run["contact_x", "rear_left"] < 0.2
+    assert (run["slip_ratio", "rear_left"][1:][on_ice[1:]] > 0.5).mean() > 0.5
+    assert run["slip_ratio", "rear_left"][-1] < 0.01  # off the ice
+    assert np.abs(run["slip_along", "rear_right"]).max() < 0.01
+    assert run["drive_torque", "rear_right"].max() == pytest.approx(8, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_car_that_tips_over_stops_at_a_named_limit(tmp_path):
+    file, problem = tmp_path / "r.nc", PROBLEMS / "dynamics_tip_over.toml"
+    done = invoke("run", problem, "-o", file, "--no-draw", code=1)
+    assert "(upright): the platform overturns" in done.output
+    assert open_result(file).trajectory["tip_over_margin"][-1] < 0
+    rates = [f"inputs.rear_{side}_rate=13.3" for side in ("left", "right")]
+    settings = sets("start.speed=2", *rates)
+    invoke("run", problem, "-o", file, "--no-draw", *settings, code=0)
+
+
+@pytest.mark.slow
+def test_a_sampled_driver_ends_near_the_continuous_one(tmp_path):
+    ends = []
+    for name, sampled in (("continuous", []), ("sampled", ["--set", "driver.period=0.01"])):
+        file = tmp_path / f"{name}.nc"
+        short = ["--set", "time.duration=0.8", "--set", "time.step=0.02"]
+        invoke("run", ROCKS, "-o", file, "--no-draw", *short, *sampled, code=0)
+        assert ("driver straight, every 0.01 s" in printed("info", file)) == (name == "sampled")
+        run = open_result(file).trajectory
+        assert run.t == pytest.approx(0.02 * np.arange(41))
+        ends.append(np.array([run["x"][-1], run["y"][-1], run["z"][-1]]))
+    assert 1e-7 < np.linalg.norm(ends[0] - ends[1]) < 1e-3
+
+
+@pytest.mark.slow
+def test_a_sampled_driver_stops_at_a_limit(tmp_path):
+    file = tmp_path / "r.nc"
+    settings = ("driver.period=0.005", "terrain.synthetic.x=[-3.0, 0.7]", "time.step=0.02")
+    options = sets(*settings)
+    invoke("run", ROCKS, "-o", file, "--no-draw", *options, code=1)
+    run = open_result(file).trajectory
+    assert run.t == pytest.approx(0.02 * np.arange(run.t.size))
+    assert 0 <= run.stop.t - run.t[-1] < 0.02
+
+
+STEP = PROBLEMS / "dynamics_step.toml"
+
+
+@pytest.mark.slow
+def test_a_rover_meets_a_step(tmp_path):
+    file = tmp_path / "r.nc"
+    done = invoke("run", STEP, "-o", file, "--set", "time.duration=4", "--no-draw", code=0)
+    assert "not converged" not in done.output
+    assert "obstacles unfinished: by t = 4 s" in " ".join(done.output.split())
+    result = open_result(file)
+    run = result.trajectory
+    assert run["solid_load_1"].max() > 10
+    maps = [each for each in verb_of(result.problem).figures(result) if each.name == "map"]
+    for name, figure in plots.draw(maps).items():
+        for ax in (ax for ax in figure.axes if ax.get_xlabel()):
+            (outline,) = [each for each in ax.patches if each.get_label() == "solids"]
+            corners = outline.get_xy()
+            assert corners[:, 1].min() == pytest.approx(0.6), name
+            assert corners[:, 1].max() > ax.get_ylim()[1], name
+    assert run["contact_z"].max() > 0.05
+    invoke("show", file, "--html", tmp_path / "page.html", code=0)
+
+
+def test_an_obstacle_stands_where_the_file_says():
+    """A kerb along y, in a file whose headings count from x, on ground at 2 m."""
+    problem = load_problem(
+        STEP,
+        settings=[
+            "terrain.synthetic.base=2.0",
+            "terrain.obstacles=[{kerb = {height = 0.1, length = 0.5}, y = 1.0, "
+            "heading = '90 deg', half_width = 0.3}]",
+        ],
+    )
+    terrain = Bicubic(build_ground(problem).grid, (0.0, 0.0), 0.9)
+    (prism,) = build_solids(problem, terrain)
+    x, y = np.array([0.1, 0.4, 0.1]), np.array([1.2, 1.2, 1.6])
+    tops = Solids(terrain, (prism,)).elevation(x, y)
+    assert tops == pytest.approx([2.1, 2.0, 2.0])
+
+
+# Problem files for plans with momentum
+
+MOMENTUM = PROBLEMS / "plan_momentum.toml"
+SHORT = ("goal.y=1.5", "time.duration=1.25", "plan.intervals=6", "plan.degree=2")
+
+
+@pytest.mark.slow
+def test_a_plan_with_momentum_is_simulated_in_the_same_run():
+    problem = load_problem(MOMENTUM, SHORT)
+    run = run_problem(problem).trajectory
+    assert run.stop is None
+    assert run.attributes["model"] == "dynamics"
+    lines = dict(PlanVerb().summary(run))
+    assert "the platform stays within" in lines["simulated with compliant contacts"]
+    assert "without inertia the same path needs torques" in lines["driven slowly"]
+    assert max(run.facts[f"plan_difference_{axis}"].value for axis in "xyz") < 0.01
+    assert abs(run["y"][-1] - 1.5) < 0.01
+
+
+def test_an_infeasible_slow_plan_offers_momentum():
+    """The guess needs 30 N m at y = 2.5 m, and four wheels with 6.5 N m give 26 N m."""
+    places = {"x": np.zeros(3), "y": np.array([0.0, 2.5, 4.0])}
+    guess = places | {"drive_torque": np.array([[1.0] * 4, [7.5] * 4, [2.0] * 4])}
+    stop = Stop("plan", 0.0, "infeasible: no motion", Outcome.INFEASIBLE)
+    setup = SimpleNamespace(
+        spec=SimpleNamespace(model="quasi-static", limits={"drive_torque": (-6.5, 6.5)}),
+        vehicle=catalog.skid_steer(),
+        **{"layers": None, "places": [("start", 0.0, 0.0)]},
+    )
+    found = SimpleNamespace(run=SimpleNamespace(stop=stop))
+    words = with_offer(setup, found, [guess]).words
+    assert "needs torques of 30 N m in all (at x = 0.00 m, y = 2.50 m)" in words
+    assert "limits.drive_torque allows 26 N m" in words
+    assert 'set model = "dynamics" to plan with momentum' in words
+    setup.spec.limits = {"drive_torque": (-8.0, 8.0)}
+    assert "needs torques" not in with_offer(setup, found, [guess]).words
+    setup.spec.model, setup.spec.limits = "kinematics", {}
+    assert with_offer(setup, found, [guess]) == stop
+
+
+# Rigid vehicles: summary of a drive, and plans with sharper load laws
+
+DRIVE = """\
+verb = "direct"
+vehicle = { catalog = "rigid_skid_steer" }
+start = {}
+time = { duration = 2.0, step = 0.05 }
+
+[inputs]
+front_right_rate = 4.0
+front_left_rate = 4.0
+rear_right_rate = 4.0
+rear_left_rate = 4.0
+""" + rough_ground("[-2, 2]", "[-2, 4]", 0.1, "rms = 0.04, longest = 3.0, shortest = 1.0", 4)
+GOAL = """
+goal = { y = 1.2 }
+costs = { slip = 100.0, effort = 0.001 }
+plan = { intervals = 8, smooth = 1e-4, accuracy = 0.01 }
+"""
+
+
+@pytest.fixture
+def plan_file(folder: Path) -> str:
+    """Write the problem of a plan into an empty current folder."""
+    (folder / "p.toml").write_text(DRIVE.replace('"direct"', f'"plan"{GOAL}'))
+    return "p.toml"
+
+
+def run(file: str, *words: str, code: int = 0) -> str:
+    result = invoke("run", file, "--no-draw", "-v", *words)
+    assert result.exit_code == code, result.output
+    return result.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("folder")
+def test_a_summary_has_wheels_in_the_air_and_rocks():
+    Path("d.toml").write_text(DRIVE)
+    facts = run("d.toml")
+    for name in ("pressed wheels", "wheels in the air", "least loaded wheel"):
+        assert f"\n{name} " in facts
+    assert "x the tolerance" not in facts  # the error test ignores the unknowns
+
+
+@pytest.mark.slow
+def test_a_plan_is_made_with_three_widths_and_simulated_with_stiffer_wheels(plan_file, monkeypatch):
+    models = observed(monkeypatch)
+    assert "with wheels ten times stiffer" in run(plan_file)
+    assert len(models) == 1 + len(module.SMOOTHINGS)
+    assert read(Path("p.nc")).outcome is Outcome.COMPLETE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fails", "outcome"),
+    [(Outcome.SOLVER_FAILURE, Outcome.COMPLETE), 2 * (Outcome.INTERRUPTED,)],
+)
+def test_a_plan_survives_the_failure_of_a_sharper_law(plan_file, monkeypatch, fails, outcome):
+    models = observed(monkeypatch, fails=fails)
+    run(plan_file, code=outcome.exit_code)
+    assert len(models) == 2
+    assert read(Path("p.nc")).outcome is outcome
+
+
+FIRST: list[Plan] = []  # the plan with the widest law, which all tests begin with
+
+
+def observed(monkeypatch: pytest.MonkeyPatch, fails: Outcome | None = None) -> list[Any]:
+    """Record the models of all plans; the second one ends with an outcome."""
+    models, solve_task = list[Any](), module.solve_task
+
+    def planned(task: Any, *words: Any, **more: Any) -> Plan:
+        models.append(task.dae)
+        if len(models) == 1:
+            if not FIRST:
+                FIRST.append(solve_task(task, *words, **more))
+            return FIRST[0]
+        if fails is None:
+            return solve_task(task, *words, **more)
+        run = FIRST[0].run
+        stop = Stop(PLAN, float(run.t[-1]), "made up", fails)
+        return replace(FIRST[0], success=False, run=replace(run, stop=stop))
+
+    monkeypatch.setattr(module, "solve_task", planned)
+    return models
+
+
+@pytest.mark.usefixtures("folder")
+def test_remedies_for_a_rigid_vehicle_are_values_of_the_file():
+    """Quasi-statics cannot place a rigid vehicle; each model that its message names can."""
+    text = DRIVE.replace('"direct"', '"direct"\nmodel = "quasi-static"\nterrain.friction = 0.8')
+    Path("p.toml").write_text(text)
+    result = invoke("run", "p.toml", "--no-draw", code=2)
+    remedies = re.findall(r"'(\w+)'", result.stderr.split(";")[-1])
+    assert remedies == ["dynamics", "kinematics"]
+    for model in remedies:
+        run("p.toml", "--set", f"model={model}", "--set", "time.duration=0.2")
+
+
+# Step climbers
+
+pytestmark = pytest.mark.usefixtures("folder")
+RAMP_FILE, STEP_FILE, STAIRS_FILE, PLAN_FILE = (
+    PROBLEMS / f"climb_{name}.toml" for name in ("ramp", "step", "stairs", "plan_step")
+)
+COARSE = ("time.step=0.01",)
+
+
+@pytest.mark.slow
+def test_the_ramp_is_the_climb_of_the_library():
+    found = run_problem(load_problem(RAMP_FILE, ["solver.tolerance=1e-8"]))
+    same = climb(RAMP, SENSED, TABLE_I, torque=AMPLE, tolerance=1e-8)
+    run, section = found.trajectory, section_of(found.setup.prisms)
+    averages = climb_metrics(run, found.setup.vehicle, section)
+    for measure in ("slip", "true_slip", "disturbance", "effort", "bearing"):
+        np.testing.assert_allclose(
+            getattr(averages, measure), getattr(same.metrics, measure), rtol=1e-3
+        )
+    np.testing.assert_allclose(run["y"], same.run["y"], atol=1e-6)
+    assert run.facts["obstacles"].words.startswith("by t = 2.63")
+
+
+@pytest.mark.slow
+def test_outcomes_of_climbs():
+    settings = sets("terrain.friction=0.4", *COARSE)
+    result = invoke("run", STEP_FILE, "-o", "r.nc", *settings)
+    assert result.exit_code == 0  # the motion is complete
+    assert "stalls: by t = 3.6 s 0 of 3 wheels had reached the top, z = 0.09 m" in result.output
+    assert "drew side, map" in result.output
+    assert read("r.nc").wheels == ("rear", "middle", "front")
+    settings = ["--set", "terrain.obstacles=[{step={height=0.3}}]", "--set", "terrain.friction=2"]
+    result = invoke("run", STEP_FILE, "--no-draw", *settings, code=1)
+    assert "tips over: at t = 1." in result.output
+    assert "limit reached at t = 1." in result.stderr
+
+
+def test_a_step_that_is_not_met_is_unfinished():
+    run = run_problem(load_problem(STEP_FILE, ["time.duration=0.1"])).trajectory
+    assert run.facts["obstacles"].words.startswith("no wheel touched an obstacle")
+
+
+def test_the_start_is_at_rest_on_the_floor_and_rolls():
+    start = build(load_problem(RAMP_FILE)).start
+    assert start["center_y", "front"][0] == pytest.approx(foot(RAMP), abs=1e-6)
+    assert start["velocity_y"][0] == pytest.approx(0.25, abs=1e-6)
+    assert start["force_normal"].sum() == pytest.approx(21.6 * 9.81, rel=5e-3)
+
+
+@pytest.mark.slow
+def test_stairs_are_climbed():
+    run = run_problem(load_problem(STAIRS_FILE, ["driver.period=", *COARSE])).trajectory
+    assert run.facts["obstacles"].value == "climbs"
+    np.testing.assert_allclose(run["center_z"][-1], 3 * 0.06 + 0.066, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_a_sampled_controller_climbs_as_the_continuous_one():
+    brief = ["time.duration=0.5", "time.step=0.004"]
+    sampled = run_problem(load_problem(STAIRS_FILE, brief)).trajectory
+    continuous = run_problem(load_problem(STAIRS_FILE, [*brief, "driver.period="])).trajectory
+    np.testing.assert_allclose(sampled.t, 0.004 * np.arange(126), atol=1e-12)
+    np.testing.assert_allclose(sampled["center_y"], continuous["center_y"], atol=5e-3)
+    assert "rear_torque" in sampled.columns
+
+
+def test_a_vehicle_file_climbs_as_the_catalogue():
+    Path("climber.toml").write_text(vehicle_text(step_climber()))
+    brief = ["time.duration=0.5", *COARSE]
+    same = run_problem(load_problem(STEP_FILE, brief)).trajectory
+    text = STEP_FILE.read_text().replace('catalog = "step_climber"', 'file = "climber.toml"')
+    Path("p.toml").write_text(text)
+    run = run_problem(load_problem(Path("p.toml"), brief)).trajectory
+    np.testing.assert_allclose(run["center_z"], same["center_z"], atol=1e-9)
+    assert "11: y, z, pitch, fold" in invoke("vehicle", "climber.toml", "--verbose").output
+
+
+def test_the_side_view_shows_vehicle_and_solids():
+    result = run_problem(load_problem(STEP_FILE, ["time.duration=0.2", *COARSE]))
+    from slipfree.problem.load import verb_of
+
+    figures = draw(verb_of(result.problem).figures(result)[:1])
+    (ax,) = figures["side"].axes
+    solids = [patch for patch in ax.patches if isinstance(patch, Polygon)]
+    wheels = [patch for patch in ax.patches if isinstance(patch, Circle)]
+    assert len(solids) == 2
+    assert {round(wheel.radius, 3) for wheel in wheels} == {0.066}
+    np.testing.assert_allclose(wheels[0].center[0], result.trajectory["center_y"][0, 0])
+    assert ax.get_aspect() == 1
+
+
+# Plans
+
+
+@pytest.mark.slow
+def test_a_plan_climbs_where_references_do_not():
+    found = run_problem(load_problem(PLAN_FILE, COARSE))
+    run, plan = found.trajectory, found.setup.plan
+    counts = {name: fact.value for name, fact in run.facts.items()}
+    assert run.facts["obstacles"].value == "climbs"
+    # least friction of every leg, of a study with its own code
+    np.testing.assert_allclose(plan.least, [0.579, 0.630, 0.677], atol=0.01)
+    assert counts["plan_cost_friction"] == pytest.approx(0.7)
+    assert counts["plan_driven"] == pytest.approx(counts["plan_cost_time"], rel=0.05)
+    for *_, told in plan.parts:
+        assert (np.abs(told.friction) <= 0.7 * told.load + 1e-5).all()
+    averages = climb_metrics(run, found.setup.vehicle, section_of(found.setup.prisms))
+    assert averages.true_slip[2] < 0.02
+    facts = dict(motion_facts(run))
+    assert "; time 3.3" in facts["plan"]
+    assert facts["simulated"].endswith("meets all constraints")
+    for law in ("projective", "fixed"):
+        settings = ["terrain.friction=0.75", f"driver.control.law={law}", *COARSE]
+        stuck = run_problem(load_problem(STEP_FILE, settings)).trajectory
+        assert stuck.facts["obstacles"].value == "stalls", law
+
+
+def test_a_goal_that_is_not_reached_is_inaccurate():
+    settings = ["--set", "goal.y=[3, 4]", "--set", "time.duration=0.2"]
+    result = invoke("run", PLAN_FILE, "--no-draw", *settings, code=1)
+    assert "its simulation misses y at the goal by 3.3e+00 m" in result.output
+
+
+def test_there_is_no_plan_without_enough_friction():
+    settings = ["--set", "limits.utilisation=[0, 0.8]"]
+    result = invoke("run", PLAN_FILE, "--no-draw", *settings, code=1)
+    assert (
+        "plan, leg 3, on which the rear wheels climb: expected a coefficient of friction of "
+        "at least 0.67"
+    ) in result.stderr
+
+
+# Plans: routes, keep-out regions, cusps, windows
+
+FIELD = PROBLEMS / "plan_crater_field.toml"
+HILLS = FIELD.with_name("plan_rigid_hills.toml")
+AROUND = (
+    *("start.y=14.0", "goal.y=24.0", "plan.intervals=12", "plan.duration=20.0", "costs.slip="),
+    *("start.x=17.5", "goal.x=17.5", "solver.tolerance=1e-6"),
+)
+
+
+@pytest.mark.slow
+def test_a_route_around_a_place_to_keep_out_of_is_planned_and_simulated():
+    problem = load_problem(FIELD, AROUND)
+    motion = run_problem(problem).trajectory
+    assert motion.stop is None
+    assert np.hypot(motion["x"][-1] - 17.5, motion["y"][-1] - 24.0) < 0.01
+    (disc,) = regions(problem)
+    reach = np.hypot(1.0, 0.5) + 0.3  # of the rear wheels; the front one reaches 1.3 m
+    # between the points of 12 intervals
+    assert disc.distance(motion["x"], motion["y"]).min() > reach - 0.02
+
+
+PARKING = FIELD.with_name("plan_parking.toml")
+WINDOWS = (
+    "plan.duration=",
+    "driver={name='follow', speed=0.25, path=[[0.0, 0.0], [0.2, 1.5], [0.6, 2.6]]}",
+    *("plan.window=1.2", "plan.overlap=0.4", "plan.intervals=5"),
+)
+
+
+def test_several_routes_start_the_search():
+    level = "terrain.synthetic.craters=", "terrain.synthetic.power_law="
+    setup = build(load_problem(FIELD, (*level, "plan.starts=2")))
+    assert len(setup.guide.paths) == len(setup.starts) == 2
+
+
+@pytest.mark.slow
+def test_the_law_of_friction_plans_a_gentle_ground():
+    """The motion is a prediction then, so that nothing is left to drive by friction again."""
+    law = "model='quasi-static'", "law.coulomb.creep=1e-2", "terrain.friction=0.6"
+    motion = run_problem(load_problem(HILLS, [*QUICK, *law])).trajectory
+    assert motion.stop is None
+    assert "friction_used_along" in motion.columns
+    assert not any(name.startswith("friction_") for name in motion.facts)
+    assert abs(motion["y"][-1] - 1.3) < 1e-4
+
+
+@pytest.mark.slow
+def test_a_plan_of_tilting_wheels_keeps_to_their_limits():
+    motion = run_problem(load_problem(FIELD.with_name("plan_tilt_limits.toml"))).trajectory
+    assert motion.stop is None
+    for wheel in ("right", "left"):
+        assert np.abs(motion[f"tilt_{wheel}"]).max() < 0.031
+    assert np.hypot(motion["slip_along"], motion["slip_across"]).max() < 1e-12
+
+
+QUICK = (
+    *("plan.intervals=8", "plan.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip=1e3"),
+    "solver.tolerance=1e-6",
+)
+
+
+@pytest.mark.slow
+def test_the_conditions_of_a_goal_are_made_once(monkeypatch):
+    module, made = sys.modules["slipfree.plan.problem"], []
+
+    def counted(dae, name, bounds, original=module._conditions):
+        made.append(name)
+        return original(dae, name, bounds)
+
+    monkeypatch.setattr(module, "_conditions", counted)
+    assert run_problem(load_problem(HILLS, QUICK)).trajectory.stop is None
+    assert sorted(name for name in made if name in ("x", "y")) == ["x", "y"]
+
+
+@pytest.fixture(scope="module")
+def bounded() -> Result:
+    """Return a plan past a way-point, with one bounded input."""
+    between = "way_points=[{ at = 0.5, x = 0.35, y = [1.0, 1.6] }]"
+    bounds = "bounds={ left_rate = [-1.0, 1.0] }"
+    return run_problem(load_problem(HILLS, [*QUICK, between, bounds]))
+
+
+@pytest.mark.slow
+def test_a_way_point_is_passed(bounded):
+    motion = bounded.trajectory
+    assert motion.stop is None
+    x, y = (np.interp(motion.t[-1] / 2, motion.t, motion[name]) for name in "xy")
+    assert abs(x - 0.35) < 0.01
+    assert 1.0 - 0.01 < y < 1.6 + 0.01
+    assert [name for name, *_ in bounded.setup.places] == ["start", "way-point at 0.5", "goal"]
+
+
+@pytest.mark.slow
+def test_all_inputs_are_drawn_however_many_are_bounded(bounded):
+    motion, setup = bounded.trajectory, bounded.setup
+    drawn = draw(
+        plan_plots(motion, setup.ground.grid, setup.layers, **figure_options(bounded, setup))
+    )
+    panel = drawn["plan"].axes[0]
+    names = ["right rate", "left rate", "steer rate", "bound", "bound"]
+    assert panel.get_legend_handles_labels()[1] == names
+    np.testing.assert_array_equal(panel.lines[1].get_ydata(), motion["left_rate"])
+
+
+@pytest.mark.slow
+def test_work_of_the_drives_is_planned_with():
+    motion = run_problem(load_problem(HILLS, [*QUICK, "costs.energy=1.0"])).trajectory
+    energy = motion.facts["plan_cost_energy"].value
+    powers = np.maximum(motion["drive_torque"] * motion["wheel_rate"], 0.0).sum(axis=1)
+    work = np.trapezoid(powers, motion.t)
+    assert abs(energy - work) < 0.1 * 2 * 10.0  # blended by 0.1 W a wheel
+    assert energy > 0
+
+
+@pytest.mark.slow
+def test_limits_have_names_and_of_a_range_what_lies_on_the_map_counts():
+    limits = {"map_margin": (1, 30), "tip_over_margin": (0.9, 3.0), "slip_across": (-1e-3, 1e-3)}
+    settings = [f"limits.{name}=[{low}, {high}]" for name, (low, high) in limits.items()]
+    problem = load_problem(HILLS, [*QUICK, *settings, "goal.y=[1.2, 60.0]"])
+    motion = run_problem(problem).trajectory
+    assert motion.stop is None
+    assert motion["y"][-1] > 1.2 - 1e-4
+    for name, (low, _) in limits.items():
+        assert motion[name].min() > low - 1e-3 * abs(low), name
+
+
+@pytest.mark.slow
+def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch):
+    monkeypatch.setattr(searching, "MAX_REFINEMENTS", 1)
+    told = "slipfree.problem.verbs.plan.separation_words"
+    monkeypatch.setattr(told, lambda *_, by_friction: f"no route leads: {by_friction}")
+    settings = [*QUICK, "plan.degree=1", "plan.intervals=1", "plan.accuracy=1e-7", "costs.slip="]
+    stop = run_problem(load_problem(HILLS, settings)).trajectory.stop
+    assert (stop.name, stop.outcome) == ("plan_accuracy", Outcome.INACCURATE)
+    misses = "no usable plan: its simulation misses x by .* m, .*; plan.accuracy allows 1e-07: "
+    assert re.match(f"{misses}refinements of its mesh did not suffice", stop.words)
+    assert stop.words.endswith("\non the mobility map no route leads: False")
+
+
+@pytest.mark.slow
+def test_a_time_limit_that_ended_the_search_is_in_the_summary(bounded, monkeypatch):
+    assert "time limit" not in dict(motion_facts(bounded.trajectory))
+    monkeypatch.setattr("slipfree.problem.verbs.plan.TIME_STATUS", SOLVED_STATUS)
+    told = dict(motion_facts(run_problem(load_problem(HILLS, QUICK)).trajectory))["time limit"]
+    assert told.endswith("the plan meets all constraints, its cost may not be least")
+
+
+@pytest.mark.slow
+def test_the_initial_guess_is_stored_and_drawn(tmp_path):
+    found = run_problem(load_problem(HILLS, QUICK))
+    write(tmp_path / "hills.nc", found.trajectory, found.arrays)
+    result = open_result(tmp_path / "hills.nc")
+    run = result.trajectory
+    assert run.facts["plan_searches"].value[:2] == ["without slip cost", "with slip cost"]
+    figures = {plot.name: plot for plot in PlanVerb().figures(result)}
+    drawn = draw([figures["traversability"]])
+    lines = {line.get_label(): line for line in drawn["traversability"].axes[0].lines}
+    guess = lines["initial guess"].get_xydata()
+    np.testing.assert_allclose(guess[0], [run["x"][0], run["y"][0]], atol=1e-9)
+    assert np.hypot(*(guess[-2] - guess[0])) > 1.0
+
+
+def _driven(folder: Path, goal: str, duration: float) -> Result:
+    """Return the result of a plan of a differential drive on level ground."""
+    file = folder / "p.toml"
+    file.write_text(
+        'verb = "plan"\nframe = "rep103"\ncosts = { slip = 1.0, effort = 0.1 }\n'
+        f"goal = {goal}\nplan = {{ intervals = 20 }}\n"
+        'driver = { name = "straight", speed = 0.25 }\n'
+        f"time = {{ duration = {duration}, step = 0.5 }}\n"
+        'vehicle = { catalog = "differential_drive" }\n'
+        "terrain.synthetic = { x = [-5.0, 5.0], y = [-5.0, 5.0], spacing = 0.5 }\n"
+    )
+    return run_problem(load_problem(file))
+
+
+def test_a_goal_a_turn_away_is_reached_the_short_way(tmp_path: Path):
+    result = _driven(tmp_path, '{ x = 1.5, heading = "370 deg" }', 6.0)
+    motion = result.trajectory
+    assert motion.stop is None
+    assert motion["heading"][-1] == pytest.approx(np.deg2rad(10), abs=1e-3)
+    assert dict(motion_facts(motion))["whole turns"] == (
+        "heading is 10 deg at the end, a turn less than 370 deg: the same position, "
+        "reached the short way"
+    )
+
+
+@pytest.mark.slow
+def test_a_caster_that_ends_a_turn_from_the_plan_is_in_the_same_position(tmp_path: Path):
+    result = _driven(tmp_path, "{ x = -2.0, y = 0.0, heading = 3.1416 }", 8.0)
+    motion = result.trajectory
+    assert result.outcome is Outcome.COMPLETE
+    assert motion.t.size < 400  # no finer mesh
+    assert motion.facts["plan_difference_caster_angle"].value < 1e-3
+    (turned,) = motion.facts["plan_turns"].value
+    assert (turned["angle"], abs(turned["turns"]), turned["than"]) == ("caster_angle", 1, "plan")
+
+
+@pytest.mark.slow
+def test_parking_has_cusps():
+    run = run_problem(load_problem(PARKING)).trajectory
+    assert run.outcome is Outcome.COMPLETE
+    end = [run[name][-1] for name in ("x", "y", "heading")]
+    assert end == pytest.approx([2.0, 0.0, 0.0], abs=1e-3)
+    forward = np.cos(run["heading"]) * np.gradient(run["y"]) - np.sin(run["heading"]) * np.gradient(
+        run["x"]
+    )
+    gears = np.sign(forward[np.abs(forward) > 1e-4])
+    assert (np.diff(gears) != 0).sum() >= 2  # cusps
+
+
+@pytest.mark.parametrize("goal", ["{x=-1.0, y=-3.0, heading=0.5}", "{x=-1.0, y=-3.0}"])
+def test_guess_with_cusps_ends_at_the_goal_on_even_ground(goal):
+    setup = build(load_problem(PARKING, ("terrain.synthetic.power_law=", f"goal={goal}")))
+    run = start_motion(setup, 0)
+    assert (run["x"][-1], run["y"][-1]) == pytest.approx((-1.0, -3.0), abs=1e-3)
+    assert setup.guide.paths == ()
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_the_windows_before_it_and_the_plan_goes_on_from_there():
+    problem = load_problem(HILLS, WINDOWS)
+
+    def interrupt(phase, _):
+        if not phase.startswith("0 to"):
+            raise KeyboardInterrupt
+
+    kept = run_problem(problem, tell=interrupt)
+    run = kept.trajectory
+    assert run.outcome is Outcome.INTERRUPTED
+    assert "m of the route" in run.stop.words
+    assert 0 < run.t[-1] < 10
+    rest = run_problem(problem, resume=from_arrays(kept.arrays, "kept")).trajectory
+    assert rest.outcome is Outcome.COMPLETE
+    assert np.hypot(rest["x"][-1] - 0.6, rest["y"][-1] - 2.6) < 2e-3
+    assert re.match(
+        r"\d windows up to 2\.68\d* m of the route", dict(motion_facts(rest))["windows"]
+    )
