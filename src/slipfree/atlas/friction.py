@@ -138,7 +138,8 @@ def _step(column: ca.SX, rows: SearchRows, pattern: ca.Sparsity) -> ca.SX:
     hessian = reduce(
         ca.plus, (b.T @ cone.matrix @ b for b, cone in zip(wheels.blocks, cones, strict=True))
     )
-    newton, path = _solve(ca.densify(hessian), (gradient, wheels.power(tangents)))
+    right = ca.horzcat(gradient, wheels.power(tangents))
+    newton, path = ca.horzsplit(ca.ldl_solve(right, *ca.ldl(hessian, False)))
     decrement = ca.dot(gradient, newton)
     # lower bound: rates without power of the load
     rates = -path
@@ -220,30 +221,6 @@ def _length_inside(wheels: _Wheels, slips: list[ca.SX], move: ca.SX, level: ca.S
         leaves = ca.logic_and(discriminant > 0, below > 0)
         length = ca.fmin(length, ca.if_else(leaves, CONE_STEP * c / ca.fmax(below, TINY), 1))
     return length
-
-
-def _solve(matrix: ca.SX, right: tuple[ca.SX, ...]) -> list[ca.SX]:
-    """Return solutions of a system with a positive definite matrix, without pivots."""
-    n = matrix.shape[0]
-    a = [[matrix[i, j] for j in range(n)] for i in range(n)]
-    b = [ca.vertsplit(column) for column in right]
-    for j in range(n):
-        inverse = 1 / a[j][j]
-        for i in range(j + 1, n):
-            factor = a[i][j] * inverse
-            for k in range(j + 1, i + 1):
-                a[i][k] = a[i][k] - factor * a[k][j]
-            for column in b:
-                column[i] = column[i] - factor * column[j]
-    solutions = list[ca.SX]()
-    for column in b:
-        y = list(column)
-        for i in reversed(range(n)):
-            for k in range(i + 1, n):
-                y[i] = y[i] - a[k][i] * y[k]
-            y[i] = y[i] / a[i][i]
-        solutions.append(ca.vertcat(*y))
-    return solutions
 
 
 class FrictionBounds(NamedTuple):

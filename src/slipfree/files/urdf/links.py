@@ -75,10 +75,7 @@ def joint_values(vehicle: Vehicle, robot: Robot | None) -> tuple[ca.SX, dict[str
             signs[joint.name] = -float(np.sign(np.dot(turned_right(axis), axle)))
 
     def value(joint: UrdfJoint) -> ca.SX:
-        factor, offset = 1.0, 0.0
-        *followers, joint = robot.tree.followed(joint, {*own, *signs})
-        for mimic in (each.mimic for each in followers if each.mimic):
-            offset, factor = offset + factor * mimic.offset, factor * mimic.multiplier
+        (*_, joint), factor, offset = robot.tree.followed(joint, {*own, *signs})
         if joint.name in own:
             return offset + factor * own[joint.name]
         if joint.name in signs:

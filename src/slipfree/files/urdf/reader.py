@@ -281,7 +281,7 @@ class Joints:
 
     def _leaders(self, name: str) -> list[str]:
         """Return the joints that a joint follows through its mimics."""
-        chain = self._tree.followed(self._tree.joints[name], self._roles.joints)
+        chain, *_ = self._tree.followed(self._tree.joints[name], self._roles.joints)
         return [joint.name for joint in chain[1:]]
 
     def _rocks(self, joint: UrdfJoint) -> bool:
@@ -455,25 +455,19 @@ class _Coordinates:
 
     def _leader(self, joint: UrdfJoint) -> tuple[UrdfJoint, float, float]:
         """Return the joint that a joint follows through its mimics, with factor and offset."""
-        chain, multiplier, offset = [joint], 1.0, 0.0
-        while chain[-1].moves and chain[-1].name not in self._roles.joints:
-            if (mimic := chain[-1].mimic) is None:
-                break
-            leader, wrong = self._tree.joints.get(mimic.joint), ""
-            if leader is None:
-                wrong = "no joint of that name; correct the name"
-            elif leader.name in self._wheels:
-                wrong = "a wheel; choose another joint, or remove the mimic"
-            elif leader in chain:
+        roles, joints = self._roles.joints, self._tree.joints
+        chain, factor, offset = self._tree.followed(joint, {*roles, *self._wheels})
+        last, wrong = chain[-1], ""
+        if last.name in self._wheels:
+            last, wrong = chain[-2], "a wheel; choose another joint, or remove the mimic"
+        elif last.moves and last.mimic and last.name not in roles:
+            wrong = "no joint of that name; correct the name"
+            if last.mimic.joint in joints:
                 wrong = "a joint that follows this one; remove one of the mimics"
-            if leader is None or wrong:
-                message = f"expected a mimic of an independent joint, found {mimic.joint!r}"
-                self._findings.wrong(chain[-1], f"{message}, {wrong}")
-                break
-            offset += multiplier * mimic.offset
-            multiplier *= mimic.multiplier
-            chain.append(leader)
-        return chain[-1], multiplier, offset
+        if last.mimic and wrong:
+            message = f"expected a mimic of an independent joint, found {last.mimic.joint!r}"
+            self._findings.wrong(last, f"{message}, {wrong}")
+        return last, factor, offset
 
     def _coordinate(self, joint: UrdfJoint, joint_role: JointRole | None) -> str:
         """Return the name of a joint's coordinate; create the coordinate if it is new."""

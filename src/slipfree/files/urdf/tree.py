@@ -175,18 +175,24 @@ class Tree:
                 links.add(joint.child)
         return below
 
-    def followed(self, joint: UrdfJoint, independent: Container[str] = ()) -> list[UrdfJoint]:
+    def followed(
+        self, joint: UrdfJoint, independent: Container[str] = ()
+    ) -> tuple[list[UrdfJoint], float, float]:
         """Return the joints that a joint follows through its mimics, itself first.
 
-        The chain ends at an independent joint, before one that is unknown, and before a loop.
+        Its value is ``offset + multiplier * last``, of the last joint; the multiplier [1] and the
+        offset [rad or m] follow the joints. The chain ends at a joint that does not move or is in
+        ``independent``, and before a loop or a name that no joint has.
         """
-        chain = {joint.name: joint}  # a mapping, since chains may be long
-        while joint.mimic is not None and joint.name not in independent:
-            leader = self.joints.get(joint.mimic.joint)
+        chain, multiplier, offset = {joint.name: joint}, 1.0, 0.0  # chains may be long
+        while joint.moves and joint.mimic is not None and joint.name not in independent:
+            mimic, leader = joint.mimic, self.joints.get(joint.mimic.joint)
             if leader is None or leader.name in chain:
                 break
+            offset += multiplier * mimic.offset
+            multiplier *= mimic.multiplier
             joint = chain[leader.name] = leader
-        return [*chain.values()]
+        return [*chain.values()], multiplier, offset
 
     def axis(self, joint: UrdfJoint) -> Array:
         """Return the unit vector of a joint's axis in the root's frame."""
