@@ -577,6 +577,8 @@ def in_radians(value: float) -> float:
 ANGULAR = {  # angles and rates may have a unit; a bare angle of more than a full turn is an error
     "rad": (IN_RADIANS, AfterValidator(in_radians)),
     "rad/s": (IN_RADIANS_PER_SECOND,),
+    "rad or m": (WITH_UNIT,),  # `unit_faults` checks the unit
+    "rad/s or m/s": (WITH_UNIT,),
 }
 
 

@@ -15,7 +15,7 @@ from functools import lru_cache
 from itertools import starmap
 from math import degrees, isfinite
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
 import tomlkit
@@ -29,7 +29,7 @@ from slipfree.geometry.frame import ORIGIN, Vector, in_axes, unit_vector
 from slipfree.vehicle import tree
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS, names_in
 from slipfree.vehicle.sections import SECTIONS, Omni, Section, section_of_radii
-from slipfree.vehicle.shapes import SHAPES, Ball, BodyShape, Box, Hull
+from slipfree.vehicle.shapes import SHAPES, Hull
 from slipfree.vehicle.tree import DRIVES, RATE, Drive, Wheel
 
 RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
@@ -204,15 +204,27 @@ def _turned_body(body: tree.Body) -> tree.Body:
     return tree.Body(body.mass, turned_right(body.at), inertia, shapes)
 
 
-def placed(shape: BodyShape, rotation: Array, origin: Array) -> BodyShape:
-    """Return a shape in another frame, in which its frame has a rotation and an origin [m]."""
-    points = [vector_of(rotation @ np.asarray(point) + origin) for point in shape.points]
+def placed(shape: T, rotation: Array, origin: Array) -> T:
+    """Return a shape or a mesh in another frame, in which its frame has a rotation and an origin.
+
+    Parameters
+    ----------
+    shape : Box, Ball or Hull, or a shape or a mesh of a URDF
+        A record with ``points`` or with ``at`` [m], and with ``turned`` unless it is round.
+    rotation : array, shape (3, 3)
+        Axes of the frame of the shape, in columns.
+    origin : array, shape (3,)
+        Origin of this frame. [m]
+    """
+    record, changes = cast("Any", shape), dict[str, Any]()
     if isinstance(shape, Hull):
-        return Hull(tuple(points))
-    if isinstance(shape, Ball):
-        return Ball(shape.radius, points[0])
-    at = vector_of(rotation @ np.asarray(shape.at) + origin)
-    return Box(shape.size, at, angles_of(rotation @ rotation_of(shape.turned)))
+        changes["points"] = tuple(vector_of(rotation @ point + origin) for point in shape.points)
+    else:
+        changes["at"] = vector_of(rotation @ record.at + origin)
+    if hasattr(record, "turned"):
+        changes["turned"] = angles_of(rotation @ rotation_of(record.turned))
+    made: T = record._replace(**changes) if isinstance(shape, tuple) else replace(record, **changes)
+    return made
 
 
 def angles_of(rotation: Array) -> Vector:
@@ -433,20 +445,18 @@ AnyShapeTable.tables = {"box": BoxTable, "ball": BallTable, "hull": HullTable}
 Shapes = Annotated[tuple[AnyShapeTable, ...], Field(strict=False)]
 
 
-class CoordinateTable(toml.Record):
+class CoordinateKeys(toml.Record):
     """Table of a coordinate: an angle or length that determines the motion of joints."""
 
     name: Name
     kind: tree.Kind
     words: str | None = None
-    lower: toml.Quantity | None = None
-    upper: toml.Quantity | None = None
-    stiffness: toml.NonNegative = 0.0
-    rest: toml.Quantity = 0.0
-    damping: toml.NonNegative = 0.0
-    bump: toml.NonNegative = 0.0
-    max_rate: Annotated[toml.Positive, toml.WITH_UNIT] | None = None
     drive: DriveTable = RATE
+
+
+CoordinateTable: Any = toml.record_of(
+    tree.Coordinate, CoordinateKeys, meaning=CoordinateKeys.__doc__ or ""
+)
 
 
 class JointTable(toml.Record):
@@ -647,15 +657,15 @@ def _part_errors(table: VehicleTable) -> Iterator[toml.Fault]:
                 expected = "a name other than those of functions, constants, states of the "
                 expected += "platform and Python keywords"
             yield toml.Fault(("coordinates", index, "name"), expected, f"{c.name!r}; rename it")
-        for key in ("lower", "upper", "rest"):
-            value = getattr(c, key) or 0.0
+        values = toml.given_values(c)
+        for key in (each for each in ("lower", "upper", "rest") if each in values):
+            value = values[key]
             if c.name in slides and abs(value) > MAX_LENGTH:
                 yield toml.Fault(("coordinates", index, key), length_words(value), f"{value:g}")
             elif c.name not in slides and (expected := toml.bare_words(value)):
                 yield toml.Fault(("coordinates", index, key), expected, f"{value:g}")
-        values = {key: getattr(c, key) for key in ("lower", "upper", "rest", "max_rate")}
         unit = "m" if c.name in slides else "rad"
-        units = dict.fromkeys(values, unit) | {"max_rate": f"{unit} s-1"}
+        units = dict.fromkeys(("lower", "upper", "rest"), unit) | {"max_rate": f"{unit} s-1"}
         yield from toml.unit_faults(("coordinates", index), values, units)
     parents = {joint.name: joint.parent for joint in table.joints}
     in_loops: set[str] = set()
@@ -703,9 +713,9 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[toml.Fault]]:
                 faults.append(toml.Fault((part, index), f"a valid {part[:-1]}", str(error)))
         return tuple(made)
 
-    def coordinate(table: CoordinateTable) -> tree.Coordinate:
-        keys = {key: value for key, value in table if value is not None}
-        return tree.Coordinate(**{"words": table.name.replace("_", " "), **keys})
+    def coordinate(table: CoordinateKeys) -> tree.Coordinate:
+        words = {"words": table.name.replace("_", " ")}
+        return tree.Coordinate(**words | toml.given_values(table))
 
     def joint(table: JointTable) -> tree.Joint:
         keys = table.model_dump(exclude={"mass", "center_of_mass", "inertia", "shapes"})

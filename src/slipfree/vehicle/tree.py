@@ -358,13 +358,13 @@ class Coordinate:
     name: str
     kind: Kind
     words: str
-    lower: float = -math.inf
-    upper: float = math.inf
+    lower: Annotated[float, Unit("rad or m")] = -math.inf
+    upper: Annotated[float, Unit("rad or m")] = math.inf
     stiffness: NonNegative = 0.0
-    rest: Finite = 0.0
+    rest: Annotated[Finite, Unit("rad or m")] = 0.0
     damping: NonNegative = 0.0
     bump: NonNegative = 0.0
-    max_rate: Annotated[float, Gt(0)] = math.inf
+    max_rate: Annotated[float, Gt(0), Unit("rad/s or m/s")] = math.inf
     drive: Drive = RATE
 
     __repr__ = field_overview

@@ -29,7 +29,7 @@ from slipfree.files.vehicle_toml import (
     Value,
     VehicleError,
     WheelInertia,
-    angles_of,
+    placed,
     rotation_of,
     vector_of,
 )
@@ -71,7 +71,6 @@ class MeshFile(NamedTuple):
 
 Geometry = Shape | Box | MeshFile
 G = TypeVar("G", Shape, Box, MeshFile)
-Placed = TypeVar("Placed", Shape, MeshFile, Geometry)
 
 
 class Link(NamedTuple):
@@ -356,18 +355,9 @@ def facing_forward(tree: Tree, forward: str) -> Tree:
     root = root._replace(
         center=vector_of(back @ root.center),
         inertia=inertia,
-        collisions=tuple(moved(each, back, np.zeros(3)) for each in root.collisions),
+        collisions=tuple(placed(each, back, np.zeros(3)) for each in root.collisions),
     )
     return replace(tree, links=tree.links | {tree.root: root}, joints=joints)
-
-
-def moved(shape: Placed, turn: Array, at: Array) -> Placed:
-    """Return a shape in another frame, in which its frame has a rotation and an origin [m]."""
-    pose: dict[str, Any] = {
-        "at": vector_of(turn @ shape.at + at),
-        "turned": angles_of(turn @ rotation_of(shape.turned)),
-    }
-    return replace(shape, **pose) if isinstance(shape, Box) else shape._replace(**pose)
 
 
 LEAST_MOMENTS = 5.8e-4  # sum of the moments of 1 kg in a ball of osmium, the densest [kg m^2]

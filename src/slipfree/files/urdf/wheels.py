@@ -53,11 +53,11 @@ from slipfree.files.urdf.tree import (
     eccentricity,
     is_about,
     lowest,
-    moved,
 )
 from slipfree.files.vehicle_toml import (
     Value,
     angle_text,
+    placed,
     rotation_of,
     toml_line,
     toml_value,
@@ -592,8 +592,8 @@ def _with_fixed_shapes(tree: Tree) -> Tree:
         for below in (part for part in tree.below(joint.child) if part.name in turning):
             turn, at = tree.frames[below.child]
             pose = rotation.T @ turn, rotation.T @ (at - origin)
-            shapes += [moved(shape, *pose) for shape in links[below.child].shapes]
-            meshes += [moved(mesh, *pose) for mesh in links[below.child].meshes]
+            shapes += [placed(shape, *pose) for shape in links[below.child].shapes]
+            meshes += [placed(mesh, *pose) for mesh in links[below.child].meshes]
         links[joint.child] = hub._replace(shapes=tuple(shapes), meshes=tuple(meshes))
     return replace(tree, links=links)
 
