@@ -60,7 +60,20 @@ class Limit(NamedTuple):
     outcome: Outcome = Outcome.LIMIT
 
     def message(self, value: float, x: Array, z: Array) -> str:
-        """Return the message of a violation by a value, in a local state."""
+        """Return the message of a violation.
+
+        Parameters
+        ----------
+        value : float
+            Value of the quantity, in the unit of its label.
+        x, z : ndarray, shapes (n_x,) and (n_z,)
+            States and unknowns, in local coordinates, at which it is violated.
+
+        Returns
+        -------
+        str
+            The text of ``describe``, or the value and the allowed range.
+        """
         if self.describe is not None and (words := self.describe(x, z)):
             return words
         lower, upper, unit = self.lower, self.upper, self.label.unit
@@ -71,7 +84,20 @@ class Limit(NamedTuple):
         return f"{self.label.words}: {round(value, 6) + 0.0:.4g}, allowed {allowed}{unit}"
 
     def violated_by(self, values: Array | float, size: float) -> Mask:
-        """Return the mask of values beyond the limit; ``size`` is the scale of the quantity."""
+        """Return which values are beyond the limit, by more than rounding.
+
+        Parameters
+        ----------
+        values : ndarray, any shape, or float
+            Values of the quantity, in the unit of its label.
+        size : float
+            Scale of the quantity (`Dae.size_of`), to which rounding is relative.
+
+        Returns
+        -------
+        ndarray of bool, of the same shape
+            True beyond the limit, and for NaN.
+        """
         slack = LIMIT_ROUNDING * size
         values = np.asarray(values)
         return ~((values >= self.lower - slack) & (values <= self.upper + slack))  # also nan
@@ -461,7 +487,23 @@ class Dae(Generic[X, Z, U, Y]):
         return [label.full for label in leaves(self.labels.x)]
 
     def state_rows(self, *names: str) -> list[int]:
-        """Return the indices of states by name."""
+        """Return the rows of states in the column of all states.
+
+        Parameters
+        ----------
+        *names : str
+            Names of states, such as ``"heading"``, those of ``state_names``.
+
+        Returns
+        -------
+        list of int
+            Indices in the order of the names.
+
+        Raises
+        ------
+        ValueError
+            If the model has no state of a name.
+        """
         return [self.state_names.index(name) for name in names]
 
     @property
@@ -487,7 +529,18 @@ class Dae(Generic[X, Z, U, Y]):
         )
 
     def size_of(self, label: Label) -> float:
-        """Return the scale of a quantity: ``size`` raised to the exponent of metres in its unit."""
+        """Return the scale of a quantity, relative to which its rounding counts.
+
+        Parameters
+        ----------
+        label : Label
+            Label of a quantity, with a unit such as ``"m s-1"``.
+
+        Returns
+        -------
+        float
+            ``size`` raised to the exponent of metres in the unit.
+        """
         return float(self.size ** power_of_length(label.unit))
 
     @cached_property
@@ -644,14 +697,31 @@ class Dae(Generic[X, Z, U, Y]):
         return lookup_function(self.lookups, name, symbols, expressions, options)
 
     def without_continuation(self, expressions: Sequence[ca.SX]) -> list[ca.SX]:
-        """Return expressions with the last value of the continuation parameter."""
+        """Return expressions with the last value of the continuation parameter.
+
+        Parameters
+        ----------
+        expressions : sequence of SX
+            Expressions in the symbols of the model.
+
+        Returns
+        -------
+        list of SX
+            Expressions of the model itself; the same ones for a model without continuation.
+        """
         if self.continuation is None:
             return list(expressions)
         last = ca.SX(self.continuation.values[-1])
         return list(ca.substitute(list(expressions), [self.continuation.symbol], [last]))
 
     def columns(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return the symbols of ``x``, of ``z`` and of ``u`` as three columns."""
+        """Return the symbols of the model as columns.
+
+        Returns
+        -------
+        tuple of 3 SX, shapes (n_x, 1), (n_z, 1) and (n_u, 1)
+            States, algebraic unknowns and inputs, in the order of the leaves of their records.
+        """
         return self._columns
 
     @cached_property

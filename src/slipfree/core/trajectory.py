@@ -321,7 +321,18 @@ class Trajectory(Drawable):
         return iter(self.columns)
 
     def with_facts(self, facts: Facts) -> Trajectory:
-        """Return the motion with further facts, which replace those of the same names."""
+        """Return the motion with further facts.
+
+        Parameters
+        ----------
+        facts : mapping of str to Fact
+            Facts by name; they replace those of the same names.
+
+        Returns
+        -------
+        Trajectory
+            The motion with the same samples.
+        """
         return replace(self, facts={**self.facts, **facts})
 
     def in_frame(self, frame: str) -> Trajectory:
@@ -483,7 +494,18 @@ def stop_words(run: Trajectory) -> str:
 
 
 def path_length(run: Trajectory) -> float:
-    """Return the length of the platform's path over the samples [m]."""
+    """Return the length of the platform's path.
+
+    Parameters
+    ----------
+    run : Trajectory
+        A motion with ``x``, ``y`` and ``z``.
+
+    Returns
+    -------
+    float
+        Sum of the distances between consecutive samples in space. [m]
+    """
     steps = [np.diff(run[name]) for name in ("x", "y", "z")]
     return float(np.sqrt(sum(step**2 for step in steps)).sum())
 

@@ -78,12 +78,40 @@ class Site(NamedTuple):
     attributes: Mapping[str, str] = EMPTY
 
     def summary_of(self, poses: Atlas, i: slice, j: slice) -> tuple[dict[str, Band], Verdicts]:
-        """Return maps and verdicts of a part of the atlas."""
+        """Return maps over the headings and verdicts of a part of the atlas.
+
+        Parameters
+        ----------
+        poses : Atlas
+            Poses at the nodes of the part, with headings from the y axis.
+        i, j : slice
+            Nodes of the part along x and y, for their heights.
+
+        Returns
+        -------
+        dict of Band
+            Maps of shape (n_x, n_y) by name; headings count from the axis of ``frame``.
+        Verdicts
+            Why the vehicle may not stay, by the conditions ``friction`` and ``within``.
+        """
         decided = verdicts(poses, friction=self.friction, within=self.within)
         return summary(poses, decided, self.elevation[i, j], self.frame), decided
 
     def on_map(self, axis: str, values: Array) -> Array:
-        """Return x or y in the coordinates of the map file [m] or [deg]."""
+        """Return x or y in the coordinates of the map file.
+
+        Parameters
+        ----------
+        axis : {"x", "y"}
+            Name of the coordinate.
+        values : ndarray, any shape
+            Its values in coordinates of motions. [m]
+
+        Returns
+        -------
+        ndarray, of the same shape
+            Values in the reference system ``crs``. [m] or [deg]
+        """
         for each in self.coordinates:
             if each.axis == axis:
                 values = each.offset + each.factor * values
@@ -94,7 +122,18 @@ Tiles = Iterable[tuple[slice, slice, Atlas]]
 
 
 def tiles_in(poses: Atlas) -> Iterator[tuple[slice, slice, Atlas]]:
-    """Yield an atlas in the tiles of `tiles_of`."""
+    """Yield an atlas in the tiles of `tiles_of`, in the order of files.
+
+    Parameters
+    ----------
+    poses : Atlas
+        Poses at (n_x, n_y) nodes.
+
+    Yields
+    ------
+    tuple of slice, slice and Atlas
+        Nodes of the tile along x and y, and its poses, whose bands are views.
+    """
     for i, j in tiles_of(poses.x.size, poses.y.size):
         parts = {name: Band(label, each[:, i, j]) for name, (label, each) in poses.bands.items()}
         yield i, j, Atlas(poses.x[i], poses.y[j], poses.heading, parts, poses.reasons)

@@ -86,7 +86,18 @@ class Path:
         return float(self._table[0][-1])
 
     def at(self, s: Array) -> PathPoint:
-        """Return the points at arc lengths of shape (n,) [m]."""
+        """Return the points at arc lengths.
+
+        Parameters
+        ----------
+        s : ndarray, shape (n,)
+            Arc lengths from the first point; beyond the ends, the path continues straight. [m]
+
+        Returns
+        -------
+        PathPoint
+            Map coordinates [m], headings from the y axis [rad], curvatures [1/m]; shapes (n,).
+        """
         symbol = ca.SX.sym("s")
         f = ca.Function("point", [symbol], list(self.symbolic(symbol)))
         return PathPoint(

@@ -103,7 +103,18 @@ class Region(ABC):
 
     @abstractmethod
     def distance(self, x: Array, y: Array) -> Array:
-        """Return the signed distances of points to the border, negative inside [m]."""
+        """Return the signed distances of points to the border.
+
+        Parameters
+        ----------
+        x, y : ndarray, broadcastable shapes
+            The points, in map coordinates. [m]
+
+        Returns
+        -------
+        ndarray, of the common shape
+            Distances, negative inside the region. [m]
+        """
 
 
 @checked

@@ -63,15 +63,40 @@ class Compliant:
     slip_stiffness: SlipStiffness = inf
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
-        """Raise ModelError if the ground has no friction coefficient."""
+        """Check that the law suits a vehicle and a ground.
+
+        Raises
+        ------
+        ModelError
+            If the ground has no coefficient of friction.
+        """
         check_friction("dynamics", terrain)
 
     def static_depth(self, wheel: Wheel, load: float) -> float:  # noqa: ARG002 - of the protocol
-        """Return the static depth of a wheel, which determines the stiffness [m]."""
+        """Return the depth of a wheel at rest, which determines the stiffness of its contact.
+
+        Parameters
+        ----------
+        wheel : Wheel
+            The wheel, with its own static depth.
+        load : float
+            Not used: the stiffness is that which bears the load at this depth. [N]
+
+        Returns
+        -------
+        float
+            The wheel's ``depth``. [m]
+        """
         return wheel.depth
 
     def max_depth(self, wheel: Wheel) -> float:  # noqa: ARG002 - of the protocol
-        """Return the depth up to which the law is valid: infinity [m]."""
+        """Return the depth up to which the law is valid.
+
+        Returns
+        -------
+        float
+            Infinity, for every wheel. [m]
+        """
         return inf
 
     def force(self, contact: WheelContact) -> GroundForce:

@@ -99,7 +99,21 @@ class Coulomb(OfFriction):
     subject: ClassVar = "Coulomb friction"
 
     def reaction(self, contacts: SlidingContacts, unknowns: FrictionUnknowns) -> Reaction:
-        """Return the contact forces and the equations of contact and friction."""
+        """Return the forces of the ground and the equations of the law's unknowns.
+
+        Parameters
+        ----------
+        contacts : SlidingContacts
+            Slip [m/s], friction [1] and rates of the n wheels, in the symbols of a model.
+        unknowns : FrictionUnknowns
+            Normal forces [N], and used shares of friction along and across [1], one per wheel.
+
+        Returns
+        -------
+        Reaction
+            Components along, across and normal to each wheel [N],
+            the equations of contact and friction, and the continuation from a larger creep speed.
+        """
         normal, *used = unknowns
         slips = contacts.along, contacts.across
         along, across = (

@@ -31,10 +31,23 @@ class LeastSlip:
     """
 
     def check(self, vehicle: Vehicle) -> None:
-        """Accept every vehicle."""
+        """Accept every vehicle: the law has a solution for any numbers of joints and wheels."""
 
     def unknowns(self, vehicle: Vehicle, constraints: tuple[Label, ...]) -> Multipliers:  # noqa: ARG002
-        """Return the labels of the multipliers, one for each constraint."""
+        """Return the labels of the Lagrange multipliers.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+            Not used.
+        constraints : tuple of Label
+            Labels of the constraints on the rates.
+
+        Returns
+        -------
+        Multipliers
+            Labels, one for each constraint; units are those of squared slip over the constraint.
+        """
         units = {"m s-1": "m s-1", "1": "m2 s-2", "m": "m s-2"}
         return Multipliers(
             tuple(
@@ -49,7 +62,20 @@ class LeastSlip:
         )
 
     def equations(self, motion: Motion, unknowns: Multipliers) -> Equations:
-        """Return the stationarity conditions with respect to rates and multipliers."""
+        """Return the conditions for the least sum of squared slips under the constraints.
+
+        Parameters
+        ----------
+        motion : Motion
+            Rates of a vehicle, and the slips (3, 1) [m/s] that are linear in them.
+        unknowns : Multipliers
+            Multipliers of ``motion.constraints``.
+
+        Returns
+        -------
+        Equations
+            Derivatives by the rates, then by the multipliers, with their linear form.
+        """
         pairs = zip(motion.weights, motion.slips, strict=True)
         cost = ca.SX(sum(0.5 * w * ca.sumsqr(s) for w, s in pairs))
         return stationarity(cost, motion, unknowns)._replace(linear=_linear_form(motion))

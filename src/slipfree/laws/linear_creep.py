@@ -48,7 +48,21 @@ class LinearCreep(coulomb.OfFriction):
     subject: ClassVar = "linear creep"
 
     def reaction(self, contacts: SlidingContacts, unknowns: coulomb.FrictionUnknowns) -> Reaction:
-        """Return the contact forces, the equations of contact and friction, and the cone."""
+        """Return the forces of the ground and the equations of the law's unknowns.
+
+        Parameters
+        ----------
+        contacts : SlidingContacts
+            Slip [m/s], friction [1] and rates of the n wheels, in the symbols of a model.
+        unknowns : FrictionUnknowns
+            Normal forces [N], and used shares of friction along and across [1], one per wheel.
+
+        Returns
+        -------
+        Reaction
+            Components along, across and normal to each wheel [N],
+            the equations of contact and creep, and the cone of friction as a limit.
+        """
         normal, *used = unknowns
         slips = contacts.along, contacts.across
         along, across = (

@@ -23,7 +23,14 @@ class Rolling:
     """
 
     def check(self, vehicle: Vehicle) -> None:
-        """Raise ModelError if the vehicle cannot roll without slip."""
+        """Check that a vehicle can roll without slip.
+
+        Raises
+        ------
+        ModelError
+            If wheels have rollers, if they cannot all touch a rigid ground, or if passive joints
+            and free wheels are not as many as the conditions that rolling adds.
+        """
         if any(wheel.rollers for wheel in vehicle.wheels):
             raise ModelError(
                 f"{vehicle.name!r}: expected wheels without rollers, found wheels with rollers, "
@@ -44,11 +51,30 @@ class Rolling:
         vehicle: Vehicle,  # noqa: ARG002 - of the protocol
         constraints: tuple[Label, ...],  # noqa: ARG002
     ) -> tuple[()]:
-        """Return no labels: the rates are the only unknowns."""
+        """Return no labels: the rates are the only unknowns of the law.
+
+        Returns
+        -------
+        tuple of length 0
+            The record of the unknowns, for `equations`.
+        """
         return ()
 
     def equations(self, motion: Motion, unknowns: tuple[()]) -> Equations:  # noqa: ARG002
-        """Return the condition that all slip velocities vanish."""
+        """Return the condition that all slip velocities vanish.
+
+        Parameters
+        ----------
+        motion : Motion
+            Rates of a vehicle, and the slips (3, 1) [m/s] of its n wheels.
+        unknowns : tuple of length 0
+            Those of `unknowns`.
+
+        Returns
+        -------
+        Equations
+            The 3 n components of the slips, in fixed axes. [m/s]
+        """
         labels = component_labels(motion.vehicle, "no_slip", "m s-1", "slip")
         return Equations(labels, ca.vertcat(*motion.slips))
 

@@ -322,16 +322,47 @@ class Soil:
             )
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
-        """Raise ModelError if a wheel has no width, or oblique rollers."""
+        """Check that the law suits a vehicle; every ground suits it.
+
+        Raises
+        ------
+        ModelError
+            If a wheel has no width, or rollers that are oblique.
+        """
         for wheel in vehicle.wheels:
             wheel_size(wheel)
 
     def unknowns(self, vehicle: Vehicle) -> SoilUnknowns:
-        """Return the labels of forces, torques, sinkage and speeds of a quasi-static model."""
+        """Return the labels of the unknowns of a quasi-static model.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+            A vehicle with n wheels.
+
+        Returns
+        -------
+        SoilUnknowns
+            Labels of forces [N], torques [N m], sinkage [m] and speeds [m/s], n each.
+        """
         return SoilUnknowns(*(quantity_labels(vehicle, name) for name in UNKNOWNS))
 
     def reaction(self, contacts: SlidingContacts, unknowns: SoilUnknowns) -> Reaction:
-        """Return the forces of the soil in a quasi-static model, and the equations of sinkage."""
+        """Return the forces of the ground and the equations of the law's unknowns.
+
+        Parameters
+        ----------
+        contacts : SlidingContacts
+            Slip [m/s], friction [1] and rates of the n wheels, in the symbols of a model.
+        unknowns : SoilUnknowns
+            Forces [N], torques [N m], sinkage [m] and speeds [m/s], one per wheel.
+
+        Returns
+        -------
+        Reaction
+            Components along, across and normal to each wheel [N],
+            torques [N m], and the equations of forces, sinkage and speeds.
+        """
         continuation, rows = creep_continuation(self.creep), list[list[ca.SX]]()
         weight = contacts.vehicle.weight
         for k, wheel in enumerate(contacts.vehicle.wheels):
@@ -391,7 +422,18 @@ class Soil:
         return static_sinkage(self, wheel_size(wheel), load)
 
     def max_depth(self, wheel: Wheel) -> float:
-        """Return the depth up to which the law is valid: the wheel's radius [m]."""
+        """Return the depth up to which the law is valid.
+
+        Parameters
+        ----------
+        wheel : Wheel
+            A wheel with a width.
+
+        Returns
+        -------
+        float
+            Radius of the wheel, which then sinks to its axle. [m]
+        """
         return wheel.radius
 
     def force(self, contact: WheelContact) -> GroundForce:

@@ -90,13 +90,39 @@ class Analytic(base.GroundFriction):
         return (0.0, 0.0, 0.0)
 
     def height(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
-        """Return the height at a point [m]."""
+        """Return the height at a point.
+
+        Parameters
+        ----------
+        x, y : SX, shape (1, 1)
+            The point, in local coordinates. [m]
+        lookups : LookupTable
+            Table to which the lookups that the result needs are added.
+
+        Returns
+        -------
+        SX, shape (1, 1)
+            Height above ``origin[2]``. [m]
+        """
         return (
             ca.SX(self.function(x, y)) if self._taylor is None else self.jet(x, y, lookups).height
         )
 
     def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> base.Jet:
-        """Return height, gradient and Hessian at a point."""
+        """Return the height at a point with its first and second derivatives.
+
+        Parameters
+        ----------
+        x, y : SX, shape (1, 1)
+            The point, in local coordinates. [m]
+        lookups : LookupTable
+            Table to which the lookups that the result needs are added.
+
+        Returns
+        -------
+        Jet
+            Height (1, 1) above ``origin[2]`` [m], gradient (2, 1) [1] and Hessian (2, 2) [1/m].
+        """
         if self._taylor is None:
             if x.is_symbolic() and y.is_symbolic():
                 return base.jet_of(ca.SX(self.function(x, y)), x, y)
@@ -112,7 +138,18 @@ class Analytic(base.GroundFriction):
         """Return None: a formula has no holes."""
 
     def elevation(self, x: Array, y: Array) -> Array:
-        """Return heights at points, arrays of broadcastable shapes, in map coordinates [m]."""
+        """Return the heights at points.
+
+        Parameters
+        ----------
+        x, y : ndarray, broadcastable shapes
+            The points, in map coordinates. [m]
+
+        Returns
+        -------
+        ndarray, of the common shape
+            Heights in map coordinates. [m]
+        """
         x, y = np.broadcast_arrays(x, y)
         count = -(-x.size // CHUNK)
         padded = [np.resize(each.reshape(-1), (max(count, 1), 1, CHUNK)) for each in (x, y)]
@@ -132,7 +169,18 @@ class Analytic(base.GroundFriction):
         return slope, curvature
 
     def known_bounds(self, reach: float) -> CellBounds:
-        """Return the results of `derivative_bounds` that were computed."""
+        """Return the results of `derivative_bounds` that were computed for a reach.
+
+        Parameters
+        ----------
+        reach : float
+            Distance in x and y within which the bounds hold. [m]
+
+        Returns
+        -------
+        CellBounds
+            Bounds of slope [1] and curvature [1/m] by cell.
+        """
         return self._known_bounds.known(reach, self.origin)
 
     def _block_bounds(self, i: int, j: int, reach: float) -> Array:

@@ -215,13 +215,52 @@ class Terrain(Protocol):
         """``x_min, x_max, y_min, y_max`` of a friction map; None without a map [m]."""
 
     def height(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
-        """Return the local height at a local point [m]."""
+        """Return the height at a point.
+
+        Parameters
+        ----------
+        x, y : SX, shape (1, 1)
+            The point, in local coordinates. [m]
+        lookups : LookupTable
+            Table to which the lookups that the result needs are added.
+
+        Returns
+        -------
+        SX, shape (1, 1)
+            Height above ``origin[2]``. [m]
+        """
 
     def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
-        """Return height, gradient and Hessian at a local point."""
+        """Return the height at a point with its first and second derivatives.
+
+        Parameters
+        ----------
+        x, y : SX, shape (1, 1)
+            The point, in local coordinates. [m]
+        lookups : LookupTable
+            Table to which the lookups that the result needs are added.
+
+        Returns
+        -------
+        Jet
+            Height (1, 1) above ``origin[2]`` [m], gradient (2, 1) [1] and Hessian (2, 2) [1/m].
+        """
 
     def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
-        """Return the coefficient of friction at a local point [1]."""
+        """Return the coefficient of friction at a point.
+
+        Parameters
+        ----------
+        x, y : SX, shape (1, 1)
+            The point, in local coordinates. [m]
+        lookups : LookupTable
+            Table to which the lookups that the result needs are added.
+
+        Returns
+        -------
+        SX, shape (1, 1)
+            Coefficient, positive. [1]
+        """
 
     def hole_margin(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX | None:
         """Return the distance of a local point from holes of the ground; None without holes [m].
@@ -231,7 +270,18 @@ class Terrain(Protocol):
         """
 
     def elevation(self, x: Array, y: Array) -> Array:
-        """Return the heights in map coordinates at map points of equal shape [m]."""
+        """Return the heights at points.
+
+        Parameters
+        ----------
+        x, y : ndarray, broadcastable shapes
+            The points, in map coordinates. [m]
+
+        Returns
+        -------
+        ndarray, of the common shape
+            Heights in map coordinates. [m]
+        """
 
 
 @checked
@@ -326,7 +376,20 @@ class Grid(HtmlRepr):
         return self.z.reshape(-1) if self.holes is None else self.z[~self.holes]
 
     def scaled(self, horizontal: float, vertical: float) -> Grid:
-        """Return the grid with scaled x and y (``horizontal``) and values (``vertical``)."""
+        """Return the grid with scaled coordinates and values.
+
+        Parameters
+        ----------
+        horizontal : float
+            Factor of ``x`` and ``y``, positive. [1]
+        vertical : float
+            Factor of ``z``, positive. [1]
+
+        Returns
+        -------
+        Grid
+            Grid with the same masks of filled nodes and of holes.
+        """
         if horizontal == vertical == 1:
             return self
         x, y, z = horizontal * self.x, horizontal * self.y, vertical * self.z

@@ -134,11 +134,37 @@ class Bicubic(base.GroundFriction):
         return self.grid.holes is None and bool(np.ptp(self.grid.z) == 0)
 
     def height(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
-        """Return the local height at a local point [m]."""
+        """Return the height at a point.
+
+        Parameters
+        ----------
+        x, y : SX, shape (1, 1)
+            The point, in local coordinates. [m]
+        lookups : LookupTable
+            Table to which the lookups that the result needs are added.
+
+        Returns
+        -------
+        SX, shape (1, 1)
+            Height above ``origin[2]``. [m]
+        """
         return self.jet(x, y, lookups).height
 
     def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> base.Jet:
-        """Return height, gradient and Hessian at a local point."""
+        """Return the height at a point with its first and second derivatives.
+
+        Parameters
+        ----------
+        x, y : SX, shape (1, 1)
+            The point, in local coordinates. [m]
+        lookups : LookupTable
+            Table to which the lookups that the result needs are added.
+
+        Returns
+        -------
+        Jet
+            Height (1, 1) above ``origin[2]`` [m], gradient (2, 1) [1] and Hessian (2, 2) [1/m].
+        """
         cell, key = self._cell
         coefficients = lookups.find(cell, ca.vertcat(x, y, key), cells=self.cells)
         return base.polynomial_jet(coefficients, CUBIC, x, y)
@@ -166,7 +192,18 @@ class Bicubic(base.GroundFriction):
         return None if margin is None else margin.height(x, y, lookups) + margin.origin[2]
 
     def elevation(self, x: Array, y: Array) -> Array:
-        """Return the heights in map coordinates at map points of equal shape [m]."""
+        """Return the heights at points.
+
+        Parameters
+        ----------
+        x, y : ndarray, broadcastable shapes
+            The points, in map coordinates. [m]
+
+        Returns
+        -------
+        ndarray, of the common shape
+            Heights in map coordinates. [m]
+        """
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         x_0, y_0, z_0 = self.origin
         flat_x, flat_y, heights = x.reshape(-1), y.reshape(-1), np.empty(x.size)
@@ -208,7 +245,18 @@ class Bicubic(base.GroundFriction):
         return slope, curvature
 
     def known_bounds(self, reach: float) -> CellBounds:
-        """Return the results of `derivative_bounds` that were computed."""
+        """Return the results of `derivative_bounds` that were computed for a reach.
+
+        Parameters
+        ----------
+        reach : float
+            Distance in x and y within which the bounds hold. [m]
+
+        Returns
+        -------
+        CellBounds
+            Bounds of slope [1] and curvature [1/m] by cell.
+        """
         return self._known_bounds.known(reach, self.origin)
 
     def _block_bounds(self, i: int, j: int, reach: float) -> Array:

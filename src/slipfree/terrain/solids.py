@@ -80,7 +80,18 @@ class Solid:
         return np.stack([self.edges[:, 1], -self.edges[:, 0]], axis=1)
 
     def meets(self, other: Solid) -> bool:
-        """Return whether the solid touches another one: no face of either separates them."""
+        """Return whether the solid touches another one, so that no face of either separates them.
+
+        Parameters
+        ----------
+        other : Solid
+            Another convex solid, in the same coordinates along x and z.
+
+        Returns
+        -------
+        bool
+            True also for solids that touch within the rounding of their corners.
+        """
         for one, two in ((self, other), (other, self)):
             heights = (np.array(two.points) @ one.normals.T).min(axis=0)
             own = (np.array(one.points) * one.normals).sum(axis=1)
@@ -434,7 +445,18 @@ class Solids:
     prisms: tuple[Prism, ...]
 
     def elevation(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
-        """Return the heights of the highest surface at map points, of broadcastable shapes [m]."""
+        """Return the heights of the highest surface, of the ground or of a solid, at points.
+
+        Parameters
+        ----------
+        x, y : ndarray, broadcastable shapes
+            The points, in map coordinates. [m]
+
+        Returns
+        -------
+        ndarray, of the common shape
+            Heights in map coordinates. [m]
+        """
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         tops = (each.top(x, y) for each in self.prisms)
         return np.asarray(np.maximum.reduce([self.base.elevation(x, y), *tops]))

@@ -392,15 +392,48 @@ class Omni(Section):
         return self.rim.torus_radii
 
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return axial and radial coordinates of the rim's point with an outward normal [m]."""
+        """Return the point of the rim's section with a given outward normal.
+
+        Parameters
+        ----------
+        axial, radial : SX, shape (1, 1)
+            Components of the unit normal, as in `Section.profile`. [1]
+
+        Returns
+        -------
+        tuple of 2 SX, shape (1, 1)
+            Axial and radial coordinates of the point, from the wheel's centre. [m]
+        """
         return self.rim.profile(axial, radial)
 
     def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
-        """Return the point of the rim's surface with an outward normal, shape (3, 1) [m]."""
+        """Return the point of the rim's surface with a given outward normal.
+
+        Parameters
+        ----------
+        normal, axle : SX, shape (3, 1)
+            Unit vectors in one frame, as in `Section.support`. [1]
+
+        Returns
+        -------
+        SX, shape (3, 1)
+            Position relative to the wheel's centre, in the frame of the normal. [m]
+        """
         return self.rim.support(normal, axle)
 
     def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:
-        """Return the radius of curvature of the rim's section for an outward normal [m]."""
+        """Return the radius of curvature of the rim's section for an outward normal.
+
+        Parameters
+        ----------
+        axial, radial : SX, shape (1, 1)
+            Components of the unit normal, as in `Section.profile`. [1]
+
+        Returns
+        -------
+        SX, shape (1, 1)
+            Radius, zero at an edge. [m]
+        """
         return self.rim.tread_radius(axial, radial)
 
 

@@ -91,7 +91,22 @@ class Torque(Drive):
     takes_effort: ClassVar[bool] = True
 
     def effort(self, wanted: ca.SX, rate: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002
-        """Return the input as effort; there is no integral."""
+        """Return the input as effort; there is no integral.
+
+        Parameters
+        ----------
+        wanted : SX, shape (1, 1)
+            The effort. [N m]
+        rate : SX, shape (1, 1)
+            Rate of the wheel or the coordinate; not used. [rad/s]
+        integral : SX, shape (1, 1)
+            Not used. [N m]
+
+        Returns
+        -------
+        tuple of 2 SX, shape (1, 1)
+            The effort [N m], and zero.
+        """
         return wanted, ca.SX(0)
 
 
@@ -137,7 +152,23 @@ class Motor(Drive):
         return self.rotor_inertia
 
     def effort(self, wanted: ca.SX, rate: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the limited effort of the controller, and the rate of its integral."""
+        """Return the limited effort of the controller, and the rate of its integral.
+
+        Parameters
+        ----------
+        wanted : SX, shape (1, 1)
+            Reference rate. [rad/s]
+        rate : SX, shape (1, 1)
+            Rate of the wheel or the coordinate. [rad/s]
+        integral : SX, shape (1, 1)
+            Integral ``e`` of the controller. [N m]
+
+        Returns
+        -------
+        tuple of 2 SX, shape (1, 1)
+            Effort in the sense of the rate, within the limits of the motor [N m], and rate of the
+            integral [N m/s].
+        """
         error = wanted - rate
         unlimited = self.kp * error + integral
         forward, backward = (
@@ -405,7 +436,18 @@ class Coordinate:
         return any((self.stiffness, self.damping, self.bump))
 
     def potential(self, value: ca.SX) -> ca.SX:
-        """Return the potential energy of spring and stops at a value of the coordinate [J]."""
+        """Return the potential energy of the spring and of the elastic stops.
+
+        Parameters
+        ----------
+        value : SX, shape (1, 1)
+            Value of the coordinate. [rad or m]
+
+        Returns
+        -------
+        SX, shape (1, 1)
+            Energy, zero at ``rest`` between the stops. [J]
+        """
         energy = ca.SX(0.5 * self.stiffness * (value - self.rest) ** 2)
         for stop, outward in ((self.upper, 1), (self.lower, -1)):
             if math.isfinite(stop):
@@ -473,7 +515,18 @@ class Joint:
         return names_in(self.value)
 
     def pose(self, values: Mapping[str, ca.SX]) -> frame.Pose:
-        """Return the pose of the part in its parent's frame, for values of coordinates by name."""
+        """Return the pose of the part in its parent's frame.
+
+        Parameters
+        ----------
+        values : mapping of str to SX, shape (1, 1)
+            Values of the coordinates in the formula of the joint, by name. [rad or m]
+
+        Returns
+        -------
+        Pose
+            Rotation (3, 3) and origin (3, 1) [m] of the part.
+        """
         value = evaluate(self.value, values)
         x, y, z = self.turned
         place = frame.translation(*self.at)
@@ -578,7 +631,18 @@ class Vehicle(HtmlRepr, VehicleParts):
         return self.nominal or self
 
     def unit(self, name: str) -> Literal["rad", "m"]:
-        """Return the unit of a coordinate: "rad" if joints rotate with it, "m" if they slide."""
+        """Return the unit of a coordinate.
+
+        Parameters
+        ----------
+        name : str
+            Name of a coordinate.
+
+        Returns
+        -------
+        {"rad", "m"}
+            ``"m"`` if a joint that slides depends on the coordinate, else ``"rad"``.
+        """
         slides = any(name in j.coordinates and j.motion == "slide" for j in self.joints)
         return "m" if slides else "rad"
 
