@@ -60,6 +60,11 @@ class World:
     vehicle: Vehicle
     prisms: tuple[Prism, ...]  # solids on the ground
 
+    @property
+    def facts(self) -> Lines:
+        """Facts about ground and vehicle: pairs of name and description."""
+        return [*ground_facts(self.ground), *vehicle_facts(self.vehicle, self.ground.crs)]
+
 
 @dataclass(frozen=True, eq=False)
 class Setup(World):
@@ -76,8 +81,7 @@ class Setup(World):
     @property
     def facts(self) -> Lines:
         """Facts about ground, vehicle and inputs: pairs of name and description."""
-        drive = ("driven by", self.driven)
-        return [*ground_facts(self.ground), *vehicle_facts(self.vehicle, self.ground.crs), drive]
+        return [*super().facts, ("driven by", self.driven)]
 
 
 def build_terrain(problem: Problem[S], ground: GroundMap) -> Bicubic:

@@ -38,8 +38,8 @@ from slipfree.files.atlas_files import EMPTY, Site, Tiles, write_atlas, write_ge
 from slipfree.files.toml import Fault, Positive, Range, Record, name_errors
 from slipfree.files.toml import Place as KeyPath
 from slipfree.problem import schema
-from slipfree.problem.build import build_model, build_vehicle, law_name, vehicle_facts
-from slipfree.problem.build_ground import Extremes, GroundMap, build_ground, ground_facts
+from slipfree.problem.build import World, build_model, build_vehicle, law_name
+from slipfree.problem.build_ground import Extremes, build_ground
 from slipfree.problem.inputs import (
     FileStates,
     ProblemParts,
@@ -150,13 +150,10 @@ class AtlasKeys(schema.LawKeys, schema.CommonKeys):
 
 
 @dataclass(frozen=True, eq=False)
-class AtlasSetup:
+class AtlasSetup(World):
     """Model, places and inputs of a mobility map."""
 
     problem: Problem[AtlasKeys]
-    ground: GroundMap
-    vehicle: Vehicle
-    terrain: Bicubic
     model: Dae
     x: Array  # of the nodes of the result [m]
     y: Array
@@ -205,11 +202,7 @@ class AtlasSetup:
         n_x, n_y, count = self.x.size, self.y.size, self.heading.size
         headings = f"{count} heading{'s' * (count > 1)}"
         size = f"{n_x * n_y * count}: {n_x} x {n_y} nodes, {headings}"
-        return [
-            *ground_facts(self.ground),
-            *vehicle_facts(self.vehicle, self.ground.crs),
-            ("poses", size),
-        ]
+        return [*super().facts, ("poses", size)]
 
     @property
     def warnings(self) -> list[str]:
@@ -302,7 +295,8 @@ def build_atlas(problem: Problem[AtlasKeys], known: Mapping[str, Extremes] = EMP
     x, y = grid.x[:: table.every], grid.y[:: table.every]
     count = table.headings
     heading = heading_column(2 * np.pi * np.arange(count) / count, "paper", own=spec.frame).values
-    setup = AtlasSetup(problem, ground, vehicle, terrain, model, x, y, heading, inputs, extremes)
+    world = ground, terrain, vehicle, ()
+    setup = AtlasSetup(*world, problem, model, x, y, heading, inputs, extremes)
     if table.within:
         bands = setup.labels(compiled=False)
         problem.refuse(*name_errors(("atlas", "within"), table.within, list(bands)))
