@@ -165,8 +165,7 @@ class Analytic(base.GroundFriction):
         """
         if self._taylor is not None:
             return np.full(x.size, np.inf), np.full(x.size, np.inf)
-        slope, curvature = self._known_bounds.at(x, y, reach)
-        return slope, curvature
+        return self._known_bounds.at(x, y, reach)
 
     def known_bounds(self, reach: float) -> CellBounds:
         """Return the results of `derivative_bounds` that were computed for a reach.
@@ -193,10 +192,9 @@ class Analytic(base.GroundFriction):
 
     @cached_property
     def _known_bounds(self) -> base.DerivativeBounds:
-        def spacing(reach: float) -> tuple[float, float]:
-            return CELL * reach, CELL * reach
-
-        return base.DerivativeBounds(BLOCK, self._block_bounds, self.domain, (0.0, 0.0), spacing)
+        return base.DerivativeBounds(
+            BLOCK, self._block_bounds, self.domain, (0.0, 0.0), lambda reach: (CELL * reach,) * 2
+        )
 
     @cached_property
     def _derivatives(self) -> ca.Function:

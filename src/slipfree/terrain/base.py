@@ -134,8 +134,11 @@ class DerivativeBounds(dict[tuple[int, int, float], Array]):
         self._side, self._compute, self._domain = side, compute, domain
         self._corner, self._spacing = corner, spacing
 
-    def at(self, x: Array, y: Array, reach: float) -> Array:
-        """Return the bounds at n points, infinite where the reach leaves the domain, (2, n)."""
+    def at(self, x: Array, y: Array, reach: float) -> tuple[Array, Array]:
+        """Return bounds of slope and curvature at n points, infinite beyond the domain less reach.
+
+        Both have shape (n,).
+        """
         x_min, x_max, y_min, y_max = self._domain
         inside = np.isfinite(x + y) & (x_min <= x - reach) & (x + reach <= x_max)
         inside &= (y_min <= y - reach) & (y + reach <= y_max)
@@ -155,7 +158,7 @@ class DerivativeBounds(dict[tuple[int, int, float], Array]):
                 self[key][:, : known.shape[1], : known.shape[2]] = known
             found[:, here] = self[key][:, *cells[:, here] % self._side]
         bounds[:, inside] = found
-        return bounds
+        return bounds[0], bounds[1]
 
     def known(self, reach: float, origin: tuple[float, float, float]) -> CellBounds:
         """Return the bounds that were computed, in local coordinates of a ground."""

@@ -241,8 +241,7 @@ class Bicubic(base.GroundFriction):
         largest of those that belong to a cell. Points of a cell share their bounds; those of a
         block of cells are computed together, when the first of them is asked for.
         """
-        slope, curvature = self._known_bounds.at(x, y, reach)
-        return slope, curvature
+        return self._known_bounds.at(x, y, reach)
 
     def known_bounds(self, reach: float) -> CellBounds:
         """Return the results of `derivative_bounds` that were computed for a reach.
@@ -261,7 +260,7 @@ class Bicubic(base.GroundFriction):
 
     def _block_bounds(self, i: int, j: int, reach: float) -> Array:
         """Return the bounds of `derivative_bounds` for the cells of a block."""
-        h_x, h_y = self._spacing
+        h_x, h_y = self.grid.spacing
         around = [math.ceil(reach / h) for h in (h_x, h_y)]
         parts = list[Array]()
         for k, n, count in zip((i, j), around, self._table.shape, strict=True):
@@ -285,42 +284,23 @@ class Bicubic(base.GroundFriction):
     @cached_property
     def _known_bounds(self) -> base.DerivativeBounds:
         x_min, _, y_min, _ = self.domain
-        corner, spacing = (x_min, y_min), self._spacing
+        corner, spacing = (x_min, y_min), self.grid.spacing
         return base.DerivativeBounds(
             BLOCK, self._block_bounds, self.domain, corner, lambda _: spacing
         )
-
-    @cached_property
-    def _spacing(self) -> tuple[float, float]:
-        return self.grid.spacing
-
-    @cached_property
-    def _cells(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Indices along x and y of the node nearest to the local origin, and of the last cell."""
-        counts = []
-        # the last cell begins at the last but one node
-        for axis, at, h in zip(
-            (self.grid.x, self.grid.y), self.origin, self.grid.spacing, strict=False
-        ):
-            counts.append(
-                (int(np.clip(np.rint((at - axis[0]) / h), 0, axis.size - 1)), axis.size - 2)
-            )
-        return counts[0], counts[1]
 
     def _in_cells(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return a local point in units of cells from the node nearest to the local origin.
 
         With this reference, points near the origin lose no digits on a map of any size.
         """
-        (i_0, _), (j_0, _) = self._cells
-        x_0, y_0, _ = self.origin
-        h_x, h_y = self.grid.spacing
-        return (x - (self.grid.x[i_0] - x_0)) / h_x, (y - (self.grid.y[j_0] - y_0)) / h_y
+        (x_0, y_0), (h_x, h_y) = self.cells.place, self.cells.spacing
+        return (x - x_0) / h_x, (y - y_0) / h_y
 
     def _local_heights(self, x: Array, y: Array) -> Array:
         """Return the local heights at local points, shape (n,)."""
         a, b = self._in_cells(x, y)
-        (i_0, i_last), (j_0, j_last) = self._cells
+        (i_0, j_0), (i_last, j_last) = self.cells.node, self.cells.last
         # a point within rounding before a knot belongs to the cell behind it; points outside the
         # map belong to the border cells, whose polynomials continue
         # fmin and fmax assign NaN to a valid cell, whose polynomial then returns NaN
@@ -346,10 +326,12 @@ class Bicubic(base.GroundFriction):
     @cached_property
     def cells(self) -> Cells:
         """Cells of the spline, in local coordinates."""
-        (x_0, y_0, _), (i, j) = self.origin, (cell[0] for cell in self._cells)
-        place = float(self.grid.x[i] - x_0), float(self.grid.y[j] - y_0)
-        last = self._cells[0][1], self._cells[1][1]
-        return Cells(self._table, place, self.grid.spacing, (i, j), last)
+        x, y, (h_x, h_y), (x_0, y_0, _) = self.grid.x, self.grid.y, self.grid.spacing, self.origin
+        i = int(np.clip(np.rint((x_0 - x[0]) / h_x), 0, x.size - 1))
+        j = int(np.clip(np.rint((y_0 - y[0]) / h_y), 0, y.size - 1))
+        place = float(x[i] - x_0), float(y[j] - y_0)
+        # the last cell begins at the last but one node
+        return Cells(self._table, place, (h_x, h_y), (i, j), (x.size - 2, y.size - 2))
 
     @cached_property
     def _kernel(self) -> Opened | None:
@@ -361,19 +343,15 @@ class Bicubic(base.GroundFriction):
         if self._kernel is not None:
             return self._kernel.function, self._kernel.key
         # without `kernel.c`, CasADi interpolants look up the coefficients
-        (i_0, i_last), (j_0, j_last) = self._cells
-        x_0, y_0, _ = self.origin
-        h_x, h_y = self.grid.spacing
+        (i_0, j_0), (i_last, j_last) = self.cells.node, self.cells.last
+        (x_0, y_0), (h_x, h_y) = self.cells.place, self.cells.spacing
         at = ca.MX.sym("at", 3)
         a, b = self._in_cells(at[0], at[1])
         i = ca.fmin(ca.fmax(ca.floor(a + KNOT_TOLERANCE), -i_0), i_last - i_0)
         j = ca.fmin(ca.fmax(ca.floor(b + KNOT_TOLERANCE), -j_0), j_last - j_0)
         c = ca.reshape(_gather_function(self._table)(ca.vertcat(i + i_0, j + j_0)), 4, 4)
         left, right = (ca.DM(basis(0.5) / h ** np.arange(4)[:, None]) for h in (h_x, h_y))
-        center = [
-            self.grid.x[i_0] - x_0 + (i + 0.5) * h_x,
-            self.grid.y[j_0] - y_0 + (j + 0.5) * h_y,
-        ]
+        center = x_0 + (i + 0.5) * h_x, y_0 + (j + 0.5) * h_y
         return ca.Function("cell", [at], [ca.vertcat(*center, ca.vec(left @ c @ right.T))]), 0.0
 
     @cached_property
