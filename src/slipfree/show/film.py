@@ -133,7 +133,6 @@ def picture(scene: Scene, title: str, time: float | None = None) -> Plot:
 
     def make() -> Figure:
         figure = style.figure(PAGE, PICTURE_HEIGHT * MM)
-        FigureCanvasAgg(figure)
         is_level = np.ptp(scene.ground.mesh.vertices[:, 2]) < style.FLAT
         wide = (1.0 if is_level else WIDE) * scene.backdrop.half
         view = View(figure.subplots(), wide, PICTURE_NODES)

@@ -103,12 +103,9 @@ def save(
     gc.freeze()
     try:
         for plot in plots:
-            figure = draw([plot])[plot.name]
-            figure.dpi = DPI
-            with rc_context(STYLE):  # type: ignore[arg-type]
+            with rc_context({"figure.dpi": DPI, **STYLE}):  # type: ignore[dict-item]
+                figure = plot.make()
                 style.lay_out(figure)
-                # otherwise savefig draws everything once for the layout
-                figure.set_layout_engine(None)
                 for end in formats:
                     more: dict[str, Any] = {"pil_kwargs": COMPRESSION} if end == "png" else {}
                     files.append(Path(folder) / f"{plot.name}.{end}")

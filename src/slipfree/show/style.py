@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
@@ -53,25 +54,35 @@ FLAT = 1e-3  # smallest drawn range of heights and angles [m, rad]
 
 def figure(width: float, height: float) -> Figure:
     """Return an empty figure of a size in inches, with automatic layout."""
-    return Figure(figsize=(width, height), layout="constrained")
+    # layouts and drawing share the renderer of a canvas, which stores the sizes of texts
+    return FigureCanvasAgg(Figure(figsize=(width, height), layout="constrained")).figure
 
 
 def lay_out(figure: Figure) -> None:
-    """Place the axes and legends of a figure with automatic layout, without drawing it."""
+    """Place the axes and legends of a figure with automatic layout, for good, without drawing it.
+
+    Otherwise drawing would begin with a layout of its own.
+    """
     if figure.axes and (engine := figure.get_layout_engine()) is not None:
         engine.execute(figure)
+        figure.set_layout_engine(None)
 
 
 def cropped(figure: Figure, ax: Axes) -> Figure:
-    """Lay out the figure of a map, and remove the height that its equal scales leave free."""
-    highest = figure.get_figheight()
-    for _ in range(3):  # labels move with the map, and are part of the layout
-        lay_out(figure)
-        ax.apply_aspect()
-        drawn, room = ax.get_position(), ax.get_position(original=True)
-        height = figure.get_figheight()
-        free = height * (room.height - room.width * drawn.height / drawn.width)
-        figure.set_figheight(min(height - free, highest))
+    """Lay out the figure of a map, and remove the height that its equal scales leave free.
+
+    The layout is found once, with axes that fill their room: of smaller ones matplotlib
+    underestimates the margins. Axes, legend and note keep their distances from the edges.
+    """
+    ax.set_aspect("auto", share=True)
+    lay_out(figure)
+    ax.set_aspect("equal", share=True)
+    room, (width, height) = ax.get_position(original=True), figure.get_size_inches()
+    new = min(height - room.height * height + room.width * width * ax.get_data_ratio(), height)
+    figure.set_figheight(new)
+    for each in figure.axes:
+        x, y, across, up = each.get_position(original=True).bounds
+        each.set_position((x, y * height / new, across, 1 - (1 - up) * height / new))
     return figure
 
 
