@@ -15,6 +15,7 @@ from helpers.urdf import (
     TWO,
     WHEEL,
     joint,
+    limb,
     link,
     offered,
     rocker_bogie,
@@ -45,7 +46,7 @@ def fixed(name, at, shape="", parent="base"):
 
 
 def pivot(name, at="0 0 0", axis="0 0 1", parent="base", kind="continuous", more=""):
-    return link(name) + joint(f"{name}_joint", kind, parent, name, at, axis, more=more)
+    return limb(name, at, axis, parent, kind, more=more)
 
 
 def steered(name, at, trail=0.0, parent="base"):
@@ -489,30 +490,26 @@ def test_one_line_gives_the_radius_of_mesh_wheels(tmp_path):
 
 
 ROVER = (
-    link("rocker")
-    + joint("rocker_pivot", "revolute", "base", "rocker", "0 0.2 0.1")
-    + link("post")
-    + joint("steer", "revolute", "rocker", "post", "0.3 0 0", axis="0 0 1")
+    limb("rocker", "0 0.2 0.1")
+    + limb("post", "0.3 0 0", "0 0 1", "rocker")
     + wheel("front", "0 0 -0.1", parent="post")
     + wheel("rear", "-0.3 0 -0.1", parent="rocker")
     + wheel("front_right", "0.3 -0.2 0")
     + wheel("rear_right", "-0.3 -0.2 0")
-    + link("arm")
-    + joint("elbow", "revolute", "base", "arm", "0 0 0.3")
-    + link("mast")
-    + joint("tilt", "revolute", "base", "mast", more='<limit lower="0" upper="0"/>')
+    + limb("arm", "0 0 0.3")
+    + limb("mast", more=limit(0, 0))
 )
 
 
 def test_kinds_of_joints_follow_from_their_axes_and_wheels(tmp_path):
     vehicle = read_vehicle(written(tmp_path, ROVER))
     kinds = {c.name: c.kind for c in vehicle.coordinates}
-    assert kinds == {"rocker_pivot": "suspension", "steer": "commanded"}
+    assert kinds == {"rocker_joint": "suspension", "post_joint": "commanded"}
     reasons = " ".join(notes(vehicle))
-    for words in ("it carries no wheel: elbow", "its limits are equal: tilt", "steers it: steer"):
+    for words in ("it carries no wheel: arm_", "its limits are equal: mast_", "steers it: post_"):
         assert words in reasons
-    given = read_vehicle(written(tmp_path, ROVER, 'joints = { rocker_pivot = "fixed" }'))
-    assert [c.name for c in given.coordinates] == ["steer"]
+    given = read_vehicle(written(tmp_path, ROVER, 'joints = { rocker_joint = "fixed" }'))
+    assert [c.name for c in given.coordinates] == ["post_joint"]
 
 
 @pytest.mark.parametrize("height", [0.0, 0.3])
@@ -535,8 +532,7 @@ def test_commas_and_xacro_outside_the_parts_are_accepted(tmp_path):
     assert len(read_vehicle(file).wheels) == 4
 
 
-PEG = '<collision><geometry><box size="0.02 0.02 0.06"/></geometry></collision>'
-CASTERS = [wheel("back_caster", "-0.2 0 -0.06", s, kind="fixed") for s in (PEG, ROUND.format(0.03))]
+CASTER = fixed("back_caster", "-0.2 0 -0.06", BOX)
 ON_FIXED = "".join(
     wheel(f"wheel_{k}", f"{x} {y} 0", kind="fixed")
     + f'<transmission name="t{k}"><joint name="wheel_{k}_joint"/></transmission>'
@@ -546,7 +542,7 @@ ON_FIXED = "".join(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "parts", [FOUR, ROVER, "".join(mesh_robot()), TWO + CASTERS[0], ON_FIXED, rocker_bogie()]
+    "parts", [FOUR, ROVER, "".join(mesh_robot()), TWO + CASTER, ON_FIXED, rocker_bogie()]
 )
 def test_the_written_completion_has_all_guesses(parts, tmp_path):
     file = written(tmp_path, parts)
@@ -567,16 +563,7 @@ def test_the_written_completion_has_all_guesses(parts, tmp_path):
 def test_steering_hinges_with_turned_frames_steer(tmp_path):
     """The hinge's frame is turned about y, so that its x axis points down."""
     front = "".join(
-        link(f"hinge{k}")
-        + joint(
-            f"steer{k}",
-            "revolute",
-            "base",
-            f"hinge{k}",
-            f"0.3 {y} 0",
-            axis="-1 0 0",
-            rpy="0 1.5707963267948966 0",
-        )
+        limb(f"hinge{k}", f"0.3 {y} 0", "-1 0 0", rpy=f"0 {pi / 2} 0")
         + wheel(f"front{k}", "0 0 0", parent=f"hinge{k}")
         for k, y in enumerate((0.15, -0.15))
     )
@@ -586,23 +573,15 @@ def test_steering_hinges_with_turned_frames_steer(tmp_path):
 
 def test_a_tyre_fixed_to_its_hub_is_the_wheel(tmp_path):
     """Its cylinder is turned in the tyre's frame, which is turned and moved in the hub's."""
-    whole = read_vehicle(written(tmp_path, FOUR)).wheels
     tyre = ROUND.format(0.1).replace('rpy="1.5707963267948966 0 0"', 'xyz="0 0 -0.02"')
-    parts = "".join(
-        wheel(f"{end}_{side}", f"{x} {y} 0", "")
-        + link(f"{end}_{side}_tyre", tyre).replace(MASS, "")
-        + joint(
-            f"{end}_{side}_bolt",
-            "fixed",
-            f"{end}_{side}",
-            f"{end}_{side}_tyre",
-            "0 -0.02 0",
-            rpy="1.5707963267948966 0 0",
-        )
-        for end, x in (("front", 0.2), ("rear", -0.2))
-        for side, y in (("left", 0.15), ("right", -0.15))
-    )
-    found = read_vehicle(written(tmp_path, parts)).wheels
+    bolt = {"kind": "fixed", "shape": tyre, "rpy": f"{pi / 2} 0 0"}
+
+    def hub(name, at):
+        mounted = limb(f"{name}_tyre", "0 -0.02 0", parent=name, **bolt)
+        return wheel(name, at, "") + mounted.replace(MASS, "")
+
+    whole = read_vehicle(written(tmp_path, corners(wheel))).wheels
+    found = read_vehicle(written(tmp_path, corners(hub))).wheels
     for one, other in zip(found, whole, strict=True):
         assert one.at == pytest.approx((other.at[0], other.at[1], 0), abs=1e-15)
         assert (one.radius, one.driven) == (other.radius, other.driven)
@@ -618,7 +597,7 @@ def test_the_world_is_no_platform(kind, tmp_path):
 
 # URDFs whose names, actuators, places and shapes disagree, and of the lines offered
 
-LIMIT = '<limit lower="-0.4" upper="0.4" effort="1" velocity="1"/>'
+LIMIT = limit(-0.4, 0.4)
 ROCKERS = [f"{side}_{part}_joint" for side in ("left", "right") for part in ("rocker", "bogie")]
 WHEELS = [f"{end}_{side}_joint" for end in ("front", "rear") for side in ("left", "right")]
 
@@ -655,42 +634,33 @@ def sized(front_left=0.1, front_right=0.1):
 def arms(word):
     """Return four wheels, of which two are on arms that turn about level axes."""
     return TWO + "".join(
-        link(f"{word}_{k}")
-        + joint(f"{word}_{k}_pivot", "revolute", "base", f"{word}_{k}", f"0.5 {y} 0", more=LIMIT)
+        limb(f"{word}_{k}", f"0.5 {y} 0", more=LIMIT)
         + wheel(f"wheel_{k}", "0.1 0 0", parent=f"{word}_{k}")
         for k, y in enumerate((0.15, -0.15))
     )
 
 
-PIVOTS = {word: [f"{word}_{k}_pivot" for k in range(2)] for word in ("part", "leg")}
+PIVOTS = {word: [f"{word}_{k}_joint" for k in range(2)] for word in ("part", "leg")}
 
 
 def car():
     """Return a car whose springs, steering and wheels all have effort transmissions."""
     parts = ""
-    for name, x, y in (
-        (f"{end}_{side}", x, y)
-        for end, x in (("front", 0.5), ("rear", -0.5))
-        for side, y in (("left", 0.15), ("right", -0.15))
-    ):
-        post = f"{name}_shock"
-        at = f"{x} {y} 0"
-        parts += link(post)
-        parts += joint(f"{post}_joint", "prismatic", "base", post, at, "0 0 -1", more=LIMIT)
+    for end, x, side, y in CORNERS:
+        name, post = f"{end}_{side}", f"{end}_{side}_shock"
+        parts += pivot(post, f"{x} {y} 0", "0 0 -1", kind="prismatic", more=LIMIT)
         parts += transmission(f"{post}_joint", "Effort") + transmission(f"{name}_joint", "Effort")
         if x > 0:
-            knuckle = f"{name}_steer"
-            parts += link(knuckle) + transmission(knuckle, "Effort")
-            parts += joint(knuckle, "revolute", post, knuckle, axis="0 0 1", more=LIMIT)
-            post = knuckle
+            parts += limb(f"{name}_knuckle", "0 0 0", "0 0 1", post, more=LIMIT)
+            parts += transmission(f"{name}_knuckle_joint", "Effort")
+            post = f"{name}_knuckle"
         parts += wheel(name, "0 0 0", parent=post)
     return parts
 
 
 FORCED = (
-    TWO + each(["left_wheel_joint", "right_wheel_joint"], command, "velocity") + link("caster")
-    + joint("swivel", "continuous", "base", "caster", "-0.3 0 0", "0 0 1")
-    + transmission("swivel", "Effort")
+    TWO + each(["left_wheel_joint", "right_wheel_joint"], command, "velocity")
+    + pivot("caster", "-0.3 0 0") + transmission("caster_joint", "Effort")
     + wheel("roll", "-0.04 0 -0.06", ROUND.format(0.04), parent="caster")
 )  # fmt: skip
 FREE_ROCKERS = {name: "suspension" for name in ROCKERS if name != "right_rocker_joint"}
@@ -724,13 +694,13 @@ READ = {
     ),
     "car with efforts": (
         car(),
-        dict.fromkeys(("front_left_steer", "front_right_steer"), "commanded"),
+        dict.fromkeys(("front_left_knuckle_joint", "front_right_knuckle_joint"), "commanded"),
         "with so few wheels, it and its counterpart cannot follow the ground",
     ),
-    "caster with an effort": (FORCED, {"swivel": "passive"}, "a caster or a trailer swivels"),
+    "caster with an effort": (FORCED, {"caster_joint": "passive"}, "a caster or a trailer swivels"),
     "articulated frame": (
-        TWO + link("hitch") + wheel("rear", "-0.3 0 0", parent="hitch")
-        + joint("articulation_joint", "revolute", "base", "hitch", axis="0 0 1", more=LIMIT),
+        TWO + limb("articulation", axis="0 0 1", more=LIMIT)
+        + wheel("rear", "-0.3 0 0", parent="articulation"),
         {"articulation_joint": "commanded"},
         "no wheel has an actuator: left_wheel_joint",
     ),
@@ -760,13 +730,12 @@ READ = {
         "several shapes (2 cylinders of 0.1 m)",
     ),
     "tracks with wheels": (
-        FOUR + link("left_track") + joint("belt", "fixed", "base", "left_track"),
+        FOUR + fixed("left_track", "0 0 0"),
         {},
         "tracks are not modelled (left_track)",
     ),
     "unknown shapes": (
-        FOUR + link("hood", "<collision><geometry><ellipsoid/></geometry></collision>")
-        + joint("hood_joint", "fixed", "base", "hood"),
+        FOUR + fixed("hood", "0 0 0", "<collision><geometry><ellipsoid/></geometry></collision>"),
         {},
         "link 'hood': a <ellipsoid> as <collision>",
     ),
@@ -827,27 +796,18 @@ def test_a_contradiction_asks_with_lines_that_answer(name, tmp_path):
 
 BARE = FOUR.replace(WHEEL, "").replace("continuous", "fixed").replace("_left", "_left_wheel")
 BARE = BARE.replace("_right", "_right_wheel")
-UPRIGHT_AXLES = "".join(
-    wheel(f"w{k}", f"{x} {y} 0").replace('xyz="0 1 0"', 'xyz="0 0 1"')
-    for k, (x, y) in enumerate(((0.2, 0.2), (0.2, -0.2), (-0.2, 0.2), (-0.2, -0.2)))
-)
-TRACKS = "".join(
-    link(f"{side}Track") + joint(f"{side}_joint", "fixed", "base", f"{side}Track", f"0 {y} 0")
-    for side, y in (("left", 0.3), ("right", -0.3))
-)
-LEGS = "".join(
-    link(f"leg_{k}") + joint(f"hip_{k}", "revolute", "base", f"leg_{k}", more=LIMIT)
-    for k in range(4)
-)
+UPRIGHT_AXLES = corners(wheel).replace('xyz="0 1 0"', 'xyz="0 0 1"')
+TRACKS = fixed("leftTrack", "0 0.3 0") + fixed("rightTrack", "0 -0.3 0")
+LEGS = "".join(limb(f"leg_{k}", more=LIMIT) for k in range(4))
 
 
 @pytest.mark.parametrize(
     ("parts", "words", "count"),
     [
-        (UPRIGHT_AXLES, "the axles of the wheels are missing: w0_joint, w1_joint", 0),
+        (UPRIGHT_AXLES, "the axles of the wheels are missing: front_left_wheel_joint, ", 0),
         (TRACKS, "tracks are not modelled (leftTrack, rightTrack): describe each as a row of", 0),
         (plugin("libTrackedVehicle.so"), "tracks are not modelled (libTrackedVehicle.so)", 0),
-        (LEGS, "legs are not modelled (hip_0, hip_1, hip_2, hip_3)", 0),
+        (LEGS, "legs are not modelled (leg_0_joint, leg_1_joint, leg_2_joint, leg_3_joint)", 0),
         (TWO, "add wheels to the URDF", 0),
         (BARE, "add wheels to the URDF", 1),
     ],
@@ -862,10 +822,8 @@ def test_what_is_missing_is_named_and_remedies_work(parts, words, count, tmp_pat
 
 
 def test_mecanum_wheels_of_a_plugin_have_rollers(tmp_path):
-    joints = dict(zip("abcd", WHEELS, strict=True))
-    vehicle = read_vehicle(
-        written(tmp_path, FOUR + plugin("gz-sim-mecanum-drive-system", **joints))
-    )
+    parts = FOUR + plugin("gz-sim-mecanum-drive-system", **DRIVEN)
+    vehicle = read_vehicle(written(tmp_path, parts))
     assert all(isinstance(each.section, Omni) for each in vehicle.wheels)
 
 

@@ -27,8 +27,16 @@ def joint(name, kind, parent, child, at="0 0 0", axis="0 1 0", rpy="0 0 0", more
     )
 
 
+def limb(
+    name, at="0 0 0", axis="0 1 0", parent="base", kind="revolute", shape="", rpy="0 0 0", more=""
+):
+    """Return a link and the joint that carries it, with the name of the link and ``_joint``."""
+    carrier = joint(f"{name}_joint", kind, parent, name, at, axis, rpy, more)
+    return link(name, shape) + carrier
+
+
 def wheel(name, at, shape=WHEEL, parent="base", kind="continuous"):
-    return link(name, shape) + joint(f"{name}_joint", kind, parent, name, at)
+    return limb(name, at, parent=parent, kind=kind, shape=shape)
 
 
 FOUR = "".join(
@@ -69,27 +77,15 @@ def rocker_bogie(bogies=True, axes=("0 1 0", "0 1 0"), mounts=False):
     for side, y, axis in (("left", 0.3, axes[0]), ("right", -0.3, axes[1])):
         carrier, at = "base", f"0 {y} 0.1"
         if mounts:
-            parts += link(f"{side}_mount") + joint(
-                f"{side}_mount_joint", "fixed", "base", f"{side}_mount", at
-            )
+            parts += limb(f"{side}_mount", at, kind="fixed")
             carrier, at = f"{side}_mount", "0 0 0"
         limit = '<limit lower="-0.5" upper="0.5" effort="0" velocity="1"/>'
-        parts += link(f"{side}_rocker") + joint(
-            f"{side}_rocker_joint", "revolute", carrier, f"{side}_rocker", at, axis, more=limit
-        )
+        parts += limb(f"{side}_rocker", at, axis, carrier, more=limit)
         parts += wheel(f"{side}_front", "0.35 0 -0.2", parent=f"{side}_rocker")
         if not bogies:
             parts += wheel(f"{side}_rear", "-0.35 0 -0.2", parent=f"{side}_rocker")
             continue
-        parts += link(f"{side}_bogie") + joint(
-            f"{side}_bogie_joint",
-            "revolute",
-            f"{side}_rocker",
-            f"{side}_bogie",
-            "-0.2 0 -0.1",
-            axis,
-            more=limit,
-        )
+        parts += limb(f"{side}_bogie", "-0.2 0 -0.1", axis, f"{side}_rocker", more=limit)
         for end, x in (("mid", 0.15), ("rear", -0.15)):
             parts += wheel(f"{side}_{end}", f"{x} 0 -0.1", parent=f"{side}_bogie")
     return parts
