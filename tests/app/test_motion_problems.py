@@ -40,35 +40,37 @@ from slipfree.show.plan_figures import plan_plots
 from slipfree.show.plots import draw
 from slipfree.terrain.solids import section_of
 
-ROCKS = str(PROBLEMS / "dynamics_rocks.toml")
+FILE = Path("r.nc")
+
+
+def drove(problem, *settings, code=0):
+    """Return what the run of a problem with inertia prints, and its result, kept in a file."""
+    problem = PROBLEMS / f"dynamics_{problem}.toml"
+    done = invoke("run", problem, "-o", FILE, "--no-draw", *sets(*settings), code=code)
+    return done.output, open_result(FILE)
 
 
 @pytest.mark.slow
-def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path, monkeypatch):
-    file = tmp_path / "r.nc"
-    invoke("run", ROCKS, "-o", file, "--set", "time.duration=0.5", "--no-draw", code=0)
+def test_a_run_tells_contact_and_energy_and_is_reported(monkeypatch):
+    _, result = drove("rocks", "time.duration=0.5")
     for name in ("compliant contact", "energy balance", "a prediction with"):
-        assert name in printed("info", file)
-    result = open_result(file)
+        assert name in printed("info", FILE)
     run, figures = result.trajectory, verb_of(result.problem).figures(result)
     flies = (run["depth"] < 0).all(axis=1).any()
-    assert ("vehicle in the air" in printed("info", file)) == flies
+    assert ("vehicle in the air" in printed("info", FILE)) == flies
     assert {"contact", "energy", "checks"} <= {each.name for each in figures}
     exchanged = np.abs(run["work"]).max() + run["lost_energy"][-1]
     assert np.abs(energy_error(run)).max() < 100 * 1e-6 * exchanged
     assert run["velocity_x"][0] == pytest.approx(1.0, abs=0.01)  # the initial speed
     monkeypatch.setattr("slipfree.problem.verbs.base.DriveVerb.figures", lambda *_: ())
-    invoke("report", file, "-o", tmp_path / "r.html", code=0)
-    invoke("show", file, "--html", tmp_path / "page.html", code=0)
+    invoke("report", FILE, "-o", "r.html", code=0)
+    invoke("show", FILE, "--html", "page.html", code=0)
 
 
 @pytest.mark.slow
-def test_a_car_jumps_from_a_ledge(tmp_path):
-    file = tmp_path / "r.nc"
-    name = PROBLEMS / "dynamics_ledge.toml"
-    invoke("run", name, "-o", file, "--set", "time.duration=0.8", "--no-draw", code=0)
-    told = printed("info", file)
-    run = open_result(file).trajectory
+def test_a_car_jumps_from_a_ledge():
+    run = drove("ledge", "time.duration=0.8")[1].trajectory
+    told = printed("info", FILE)
     flying = (run["depth"] < 0).all(axis=1)
     t = run.t[flying]
     assert f"{t[-1] - t[0] + 0.005:.3g} s in all" in told
@@ -82,17 +84,14 @@ def test_a_car_jumps_from_a_ledge(tmp_path):
 
 
 @pytest.mark.slow
-def test_skid_steering_depends_on_the_model_and_with_inertia_on_the_speed(tmp_path):
+def test_skid_steering_depends_on_the_model_and_with_inertia_on_the_speed():
     """At half the rates in twice the time, a quarter of the difference is left."""
-    file, ends = tmp_path / "r.nc", {}
+    ends = {}
     for model, factor in (("kinematics", 1), ("quasi-static", 1), ("dynamics", 1), ("dynamics", 2)):
         wheels = [f"{end}_{side}_rate" for end in ("front", "rear") for side in ("left", "right")]
         rates = [f"{name}={factor * (2 if 'left' in name else 4)}" for name in wheels]
         options = [f"model={model}", f"inputs={{{','.join(rates)}}}", f"time.duration={6 / factor}"]
-        settings = sets(*options)
-        name = PROBLEMS / "dynamics_skid_turn.toml"
-        invoke("run", name, "-o", file, "--no-draw", *settings, code=0)
-        run = open_result(file).trajectory
+        run = drove("skid_turn", *options)[1].trajectory
         ends[model, factor] = np.array([run["x"][-1], run["y"][-1]])
     still = ends["quasi-static", 1]
     slow, fast = (np.hypot(*(ends["dynamics", k] - still)) for k in (1, 2))
@@ -102,11 +101,10 @@ def test_skid_steering_depends_on_the_model_and_with_inertia_on_the_speed(tmp_pa
 
 
 @pytest.mark.slow
-def test_a_motor_spins_its_wheel_on_ice(tmp_path):
-    file = tmp_path / "r.nc"
-    done = invoke("run", PROBLEMS / "dynamics_ice.toml", "-o", file, "--no-draw", code=0)
-    assert "diagnostics failed" not in done.output
-    run = open_result(file).trajectory
+def test_a_motor_spins_its_wheel_on_ice():
+    told, result = drove("ice")
+    assert "diagnostics failed" not in told
+    run = result.trajectory
     on_ice = run["contact_x", "rear_left"] < 0.2
     assert (run["slip_ratio", "rear_left"][1:][on_ice[1:]] > 0.5).mean() > 0.5
     assert run["slip_ratio", "rear_left"][-1] < 0.01  # off the ice
@@ -115,51 +113,38 @@ def test_a_motor_spins_its_wheel_on_ice(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_car_that_tips_over_stops_at_a_named_limit(tmp_path):
-    file, problem = tmp_path / "r.nc", PROBLEMS / "dynamics_tip_over.toml"
-    done = invoke("run", problem, "-o", file, "--no-draw", code=1)
-    assert "(upright): the platform overturns" in done.output
-    assert open_result(file).trajectory["tip_over_margin"][-1] < 0
+def test_a_car_that_tips_over_stops_at_a_named_limit():
+    told, result = drove("tip_over", code=1)
+    assert "(upright): the platform overturns" in told
+    assert result.trajectory["tip_over_margin"][-1] < 0
     rates = [f"inputs.rear_{side}_rate=13.3" for side in ("left", "right")]
-    settings = sets("start.speed=2", *rates)
-    invoke("run", problem, "-o", file, "--no-draw", *settings, code=0)
+    drove("tip_over", "start.speed=2", *rates)
 
 
 @pytest.mark.slow
-def test_a_sampled_driver_ends_near_the_continuous_one(tmp_path):
+def test_a_sampled_driver_ends_near_the_continuous_one():
     ends = []
-    for name, sampled in (("continuous", []), ("sampled", ["--set", "driver.period=0.01"])):
-        file = tmp_path / f"{name}.nc"
-        short = ["--set", "time.duration=0.8", "--set", "time.step=0.02"]
-        invoke("run", ROCKS, "-o", file, "--no-draw", *short, *sampled, code=0)
-        assert ("driver straight, every 0.01 s" in printed("info", file)) == (name == "sampled")
-        run = open_result(file).trajectory
+    for sampled in ([], ["driver.period=0.01"]):
+        run = drove("rocks", "time.duration=0.8", "time.step=0.02", *sampled)[1].trajectory
+        assert ("driver straight, every 0.01 s" in printed("info", FILE)) == bool(sampled)
         assert run.t == pytest.approx(0.02 * np.arange(41))
         ends.append(np.array([run["x"][-1], run["y"][-1], run["z"][-1]]))
     assert 1e-7 < np.linalg.norm(ends[0] - ends[1]) < 1e-3
 
 
 @pytest.mark.slow
-def test_a_sampled_driver_stops_at_a_limit(tmp_path):
-    file = tmp_path / "r.nc"
+def test_a_sampled_driver_stops_at_a_limit():
     settings = ("driver.period=0.005", "terrain.synthetic.x=[-3.0, 0.7]", "time.step=0.02")
-    options = sets(*settings)
-    invoke("run", ROCKS, "-o", file, "--no-draw", *options, code=1)
-    run = open_result(file).trajectory
+    run = drove("rocks", *settings, code=1)[1].trajectory
     assert run.t == pytest.approx(0.02 * np.arange(run.t.size))
     assert 0 <= run.stop.t - run.t[-1] < 0.02
 
 
-STEP = PROBLEMS / "dynamics_step.toml"
-
-
 @pytest.mark.slow
-def test_a_rover_meets_a_step(tmp_path):
-    file = tmp_path / "r.nc"
-    done = invoke("run", STEP, "-o", file, "--set", "time.duration=4", "--no-draw", code=0)
-    assert "not converged" not in done.output
-    assert "obstacles unfinished: by t = 4 s" in " ".join(done.output.split())
-    result = open_result(file)
+def test_a_rover_meets_a_step():
+    told, result = drove("step", "time.duration=4")
+    assert "not converged" not in told
+    assert "obstacles unfinished: by t = 4 s" in " ".join(told.split())
     run = result.trajectory
     assert run["solid_load_1"].max() > 10
     maps = [each for each in verb_of(result.problem).figures(result) if each.name == "map"]
@@ -170,19 +155,14 @@ def test_a_rover_meets_a_step(tmp_path):
             assert corners[:, 1].min() == pytest.approx(0.6), name
             assert corners[:, 1].max() > ax.get_ylim()[1], name
     assert run["contact_z"].max() > 0.05
-    invoke("show", file, "--html", tmp_path / "page.html", code=0)
+    invoke("show", FILE, "--html", "page.html", code=0)
 
 
 def test_an_obstacle_stands_where_the_file_says():
     """A kerb along y, in a file whose headings count from x, on ground at 2 m."""
-    problem = load_problem(
-        STEP,
-        settings=[
-            "terrain.synthetic.base=2.0",
-            "terrain.obstacles=[{kerb = {height = 0.1, length = 0.5}, y = 1.0, "
-            "heading = '90 deg', half_width = 0.3}]",
-        ],
-    )
+    kerb = "kerb={height=0.1, length=0.5}, y=1.0, heading='90 deg', half_width=0.3"
+    settings = ["terrain.synthetic.base=2.0", f"terrain.obstacles=[{{{kerb}}}]"]
+    problem = load_problem(PROBLEMS / "dynamics_step.toml", settings)
     terrain = Bicubic(build_ground(problem).grid, (0.0, 0.0), 0.9)
     (prism,) = build_solids(problem, terrain)
     x, y = np.array([0.1, 0.4, 0.1]), np.array([1.2, 1.2, 1.6])
@@ -408,8 +388,6 @@ def test_a_vehicle_file_climbs_as_the_catalogue():
 
 def test_the_side_view_shows_vehicle_and_solids():
     result = run_problem(load_problem(STEP_FILE, ["time.duration=0.2", *COARSE]))
-    from slipfree.problem.load import verb_of
-
     figures = draw(verb_of(result.problem).figures(result)[:1])
     (ax,) = figures["side"].axes
     solids = [patch for patch in ax.patches if isinstance(patch, Polygon)]
@@ -455,10 +433,8 @@ def test_a_goal_that_is_not_reached_is_inaccurate():
 def test_there_is_no_plan_without_enough_friction():
     settings = ["--set", "limits.utilisation=[0, 0.8]"]
     result = invoke("run", PLAN_FILE, "--no-draw", *settings, code=1)
-    assert (
-        "plan, leg 3, on which the rear wheels climb: expected a coefficient of friction of "
-        "at least 0.67"
-    ) in result.stderr
+    words = "plan, leg 3, on which the rear wheels climb: expected a coefficient of friction of "
+    assert f"{words}at least 0.67" in result.stderr
 
 
 # Plans: routes, keep-out regions, cusps, windows
@@ -666,9 +642,8 @@ def test_parking_has_cusps():
     assert run.outcome is Outcome.COMPLETE
     end = [run[name][-1] for name in ("x", "y", "heading")]
     assert end == pytest.approx([2.0, 0.0, 0.0], abs=1e-3)
-    forward = np.cos(run["heading"]) * np.gradient(run["y"]) - np.sin(run["heading"]) * np.gradient(
-        run["x"]
-    )
+    way = np.gradient(run["x"]), np.gradient(run["y"])
+    forward = np.cos(run["heading"]) * way[1] - np.sin(run["heading"]) * way[0]
     gears = np.sign(forward[np.abs(forward) > 1e-4])
     assert (np.diff(gears) != 0).sum() >= 2  # cusps
 
