@@ -559,8 +559,7 @@ def test_units_by_the_travel_of_the_wheels(factors: dict[int, float], words: str
     values = {"x": log[:, 3], "y": log[:, 4]}
     read = MotionLog(Path("log.csv"), log[:, 0], values, (), Counter(), (0.0, 0.0))
     check = partial(check_motion, read, ratios=rate_ratios([0.15, 0.15]))
-    with pytest.raises(sf.DataError, match=re.escape(words)):
-        check(speed=0.15 * log[:, 1:3].mean(axis=1))
+    refuses(sf.DataError, re.escape(words), check, speed=0.15 * log[:, 1:3].mean(axis=1))
     check(speed=np.where(TIMES < 10, 1.0, -0.2) * log[:, 1])  # the wheels slip
 
 

@@ -365,8 +365,7 @@ def motion_nodes(files: list[Path], times: np.ndarray) -> tuple[Any, Any]:
 def test_the_port_of_a_recorder_is_closed() -> None:
     pytest.importorskip("viser")
     server = recorder()
-    with pytest.raises(HTTPError, match="403"):
-        urlopen(f"http://127.0.0.1:{server.get_port()}/")
+    refuses(HTTPError, "403", urlopen, f"http://127.0.0.1:{server.get_port()}/")
     stop(server)
 
 

@@ -255,10 +255,8 @@ def test_macros_without_prefix_are_named(robot):
     own = WHEEL.replace("</robot>", '<link name="base"/>\n<wheel n="a" x="0" y="0"/></robot>')
     robot.write_text(own)
     for trust in (False, True):
-        with pytest.raises(
-            VehicleError, match=r"xacro:10: .*<wheel> .*; write <xacro:wheel \.\.\.>"
-        ):
-            read_vehicle(robot, trust=trust)
+        words = r"xacro:10: .*<wheel> .*; write <xacro:wheel \.\.\.>"
+        refuses(VehicleError, words, read_vehicle, robot, trust=trust)
     robot.write_text('<robot><link name="base"/><wheel/></robot>')
     refuses(VehicleError, "<wheel> is not an element of URDF", read_vehicle, robot)
     robot.write_text(own.replace(NAMES, "").replace("<wheel", "<xacro:wheel"))

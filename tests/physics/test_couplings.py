@@ -245,10 +245,8 @@ def test_long_and_deep_formulas_are_refused():
 
 
 def test_unknown_names_are_listed_with_those_that_are_known():
-    with pytest.raises(
-        sf.ModelError, match=r"formula '2\*stear': expected one of the names steer, found 'stear'"
-    ):
-        evaluate("2*stear", {"steer": ca.SX(0)})
+    words = r"formula '2\*stear': expected one of the names steer, found 'stear'"
+    refuses(sf.ModelError, words, evaluate, "2*stear", {"steer": ca.SX(0)})
 
 
 # Motions are equal at any size of vehicle and ground
@@ -302,7 +300,5 @@ def _stand():
 def test_size_is_a_positive_length():
     dae = sf.direct_kinematics(three_wheeler(), formula(1.0))
     assert dae.size == 1.0  # the paper's vehicle: tolerances in metres
-    with pytest.raises(
-        sf.ModelError, match="size: expected a positive, finite length in metres, found 0"
-    ):
-        replace(dae, size=0.0)
+    words = "size: expected a positive, finite length in metres, found 0"
+    refuses(sf.ModelError, words, replace, dae, size=0.0)

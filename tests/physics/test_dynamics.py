@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
 import slipfree as sf
+from helpers.commands import refuses
 from helpers.dynamics import FLAT, center_height, energy_error, four_wheels, moved, slope, states
 from helpers.rounding import root
 from slipfree.geometry.frame import Pose, rotation_of
@@ -264,10 +265,8 @@ def test_discs_and_balls_stand_on_maps(section):
 
 
 def test_a_coordinate_without_mass_is_refused():
-    with pytest.raises(
-        sf.ModelError, match="coordinate 'press_rear': expected a part or a wheel with mass"
-    ):
-        sf.dynamics(sf.catalog.seven_wheels(), FLAT)
+    words = "coordinate 'press_rear': expected a part or a wheel with mass"
+    refuses(sf.ModelError, words, sf.dynamics, sf.catalog.seven_wheels(), FLAT)
     model = sf.dynamics(sf.catalog.seven_wheels(wheel_mass=0.4), FLAT)
     rates = {label.full: 1.0 for label in model.labels.u.wheels if "across" not in label.full}
     run = moved(model, sf.settle(model), np.linspace(0, 1, 3), 1e-6, **rates)
@@ -465,10 +464,8 @@ def test_quasi_statics_uses_the_rate_and_its_actuator_bears_spring_and_damper():
 
 
 def test_drives_that_do_not_fit_are_refused():
-    with pytest.raises(
-        sf.ModelError, match=r"since its rate is an input.*or use a drive with an eff"
-    ):
-        sf.Coordinate("c", "commanded", "c", stiffness=1.0)
+    words = r"since its rate is an input.*or use a drive with an eff"
+    refuses(sf.ModelError, words, sf.Coordinate, "c", "commanded", "c", stiffness=1.0)
     vehicle = sf.catalog.ackermann()
     free = (
         replace(c, drive=sf.Torque()) if c.kind == "commanded" else c for c in vehicle.coordinates

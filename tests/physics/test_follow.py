@@ -137,10 +137,8 @@ def test_laws_name_what_they_need():
     wheels = tuple(replace(wheel, driven=False) for wheel in trailer.wheels)
     trailer = replace(trailer, name="trailer", wheels=wheels)
     dae = closure_model(trailer, FLAT)
-    with pytest.raises(
-        sf.ModelError, match="driven wheels on both sides, found neither in 'trailer'"
-    ):
-        sf.follow(dae, sf.Path(WAY), speed=1.0)
+    words = "driven wheels on both sides, found neither in 'trailer'"
+    refuses(sf.ModelError, words, sf.follow, dae, sf.Path(WAY), speed=1.0)
 
 
 def test_commands_are_met_on_a_plane():

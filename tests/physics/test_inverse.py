@@ -335,10 +335,8 @@ def test_vehicles_that_do_not_suit_are_refused():
         Wheel("left", "platform", (-1.0, -0.5, 0.0), Torus(0.05, 0.25), driven=True),
     )
     rigid = Vehicle("rigid", whole.coordinates[2:], whole.joints[2:], (*rear, whole.wheels[2]))
-    with pytest.raises(
-        ModelError, match=r"'rigid' cannot roll without slip.*: expected 3 .*, found 1"
-    ):
-        inverse_kinematics(rigid, HILLS, given=PLANAR, solve_for="rates")
+    words = r"'rigid' cannot roll without slip.*: expected 3 .*, found 1"
+    refuses(ModelError, words, inverse_kinematics, rigid, HILLS, given=PLANAR, solve_for="rates")
     wheels = tuple(replace(wheel, driven=True) for wheel in whole.wheels)
     loose = tuple(replace(c, kind="passive") for c in whole.coordinates)
     castor = Vehicle("castor", loose, whole.joints, wheels)
@@ -372,10 +370,8 @@ def test_drives_are_checked():
     dae = inverse_kinematics(three_wheeler(), HILLS, **CROSSING)
     begin, t = settle(direct), np.linspace(0, 1, 11)
     inputs = dae.inputs(**PAPER_MOTION)
-    with pytest.raises(
-        ModelError, match=r"free_states: expected names of states, x, y, .*, found sail"
-    ):
-        drive(dae, begin, inputs, t, free_states=["sail"])
+    words = r"free_states: expected names of states, x, y, .*, found sail"
+    refuses(ModelError, words, drive, dae, begin, inputs, t, free_states=["sail"])
     late = dae.inputs(velocity_x=0.0, velocity_y=ca.sqrt(dae.t - 0.5), heading_rate=0.0)
     with pytest.raises(SolverError, match=r"no motion from t = 0 to .* s that follows the"):
         drive(dae, begin, late, t, free_states=["steer"])

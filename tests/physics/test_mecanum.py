@@ -361,10 +361,8 @@ def test_forces_of_a_motion_act_along_the_rollers():
 
 
 def test_soil_refuses_oblique_rollers():
-    with pytest.raises(
-        sf.ModelError, match="'front_right': expected a wheel on soil without oblique"
-    ):
-        sf.dynamics(VEHICLE, FLAT, law=known_soil(next(iter(SOILS))))
+    words = "'front_right': expected a wheel on soil without oblique"
+    refuses(sf.ModelError, words, sf.dynamics, VEHICLE, FLAT, law=known_soil(next(iter(SOILS))))
 
 
 # Dynamics
