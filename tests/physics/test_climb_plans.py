@@ -12,9 +12,8 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
-import scipy.sparse
 from numpy.testing import assert_allclose
-from scipy.optimize import brentq, linprog
+from scipy.optimize import Bounds, LinearConstraint, brentq, linprog, milp
 
 from helpers.climb_cases import (
     CLIMBER,
@@ -388,54 +387,23 @@ def test_equations_of_motion(leg, joint):
         assert_allclose(SPINS * spun, torque - RADIUS * told.friction[k], atol=1e-9)
 
 
-def linear(plan, speed):
-    """Return matrices of linear programs ``A x = b, C(mu) x <= 0`` in b, a, and the forces.
-
-    The plan's intervals with Lagrange's equations, a separate transcription.
-    """
-    middles, steps = plan.middles, np.diff(plan.nodes.s)
-    terms, count = lagrange(plan.climber), steps.size
-    rows, values = scipy.sparse.lil_matrix((5 * count, 8 * count + 1)), np.zeros(5 * count)
-    spin, tilts = SPINS / RADIUS, np.array([[0, 0, 1, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    for k in range(count):
-        b, a, forces = [k, k + 1], count + 1 + k, 2 * count + 1 + 6 * k + np.arange(6)
-        mass, rest, slopes = map(np.array, terms(middles.q[k], middles.first[k]))
-        weight = np.array(terms(middles.q[k], np.zeros(4))[1]).ravel()
-        row = slice(5 * k, 5 * k + 4)
-        spun = (spin * middles.slopes[k]) @ tilts
-        per_b = mass @ middles.second[k] + rest.ravel() - weight - spun
-        rows[row, b] = np.stack([per_b, per_b], axis=1) / 2
-        rows[row, a] = (mass @ middles.first[k] - (spin * middles.speeds[k]) @ tilts)[:, None]
-        for i, normal in enumerate(middles.normals[k]):
-            place = slopes[2 * i : 2 * i + 2].T
-            rows[row, forces[i]] = -(place @ normal)[:, None]
-            along = np.array([normal[1], -normal[0]])
-            rows[row, forces[3 + i]] = -(place @ along + RADIUS * tilts[i])[:, None]
-        values[row] = -weight
-        rows[5 * k + 4, b], rows[5 * k + 4, a] = [-1, 1], -2 * steps[k]
-    top = speed**2 / (plan.nodes.speeds**2).max(axis=1)
-    low = np.minimum(2 * contact_path.MIN_ACCELERATION * plan.nodes.s, 1e-4 * speed**2)
-    bounds = [
-        (0, 0),
-        *zip(low[1:], top[1:], strict=True),
-        *[(None, None)] * count,
-        *([(0, None)] * 3 + [(None, None)] * 3) * count,
-    ]
-    return rows.tocsr(), values, bounds
+def status_of(nlp, mu):
+    """Return the status of a linear program: for a given friction, all constraints are linear."""
+    place, x = nlp.where["mu"], nlp.guess / nlp.scale
+    low, high = nlp.lower / nlp.scale, nlp.upper / nlp.scale
+    x[place] = low[place] = high[place] = mu
+    rows, slopes = ca.Function("g", [nlp.x], [nlp.g, ca.jacobian(nlp.g, nlp.x)])(x)
+    rest = np.array(slopes @ x - rows).ravel()
+    limits = LinearConstraint(slopes.sparse(), nlp.g_lower + rest, nlp.g_upper + rest)
+    return milp(np.zeros(x.size), constraints=limits, bounds=Bounds(low, high)).status
 
 
 @pytest.mark.parametrize(("name", "leg"), [("ramp", 1), ("50 mm", 0), ("90 mm", 2), ("128 mm", 2)])
 def test_least_friction_by_linear_programs(name, leg):
     plan, told = solved(name, leg, "friction")
-    rows, values, bounds = linear(plan, SPEED)
-    count = told.t.size
     # the plan also pays 1e-4 /s for its duration
     for mu, status in ((told.mu + 1e-5, 0), (told.mu - 3e-4, 2)):
-        one = np.block([[-mu * np.eye(3), sign * np.eye(3)] for sign in (1, -1)])
-        cones = scipy.sparse.block_diag([one] * count)
-        none = scipy.sparse.csr_matrix((6 * count, 2 * count + 1))
-        program = scipy.sparse.hstack([none, cones]).tocsr(), np.zeros(6 * count), rows, values
-        assert linprog(np.zeros(rows.shape[1]), *program, bounds).status == status
+        assert status_of(plan.nlp, mu) == status
 
 
 def test_limits_and_rests():
