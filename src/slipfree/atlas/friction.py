@@ -22,7 +22,6 @@ Its Hessian is positive definite, of the number of the rates, and needs no pivot
 from __future__ import annotations
 
 from functools import reduce
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -30,7 +29,7 @@ import numpy as np
 
 from slipfree.batch.evaluator import EvaluatorOf
 from slipfree.batch.graph import Graph
-from slipfree.core.records import Array
+from slipfree.core.records import Array, consecutive
 from slipfree.models.force_distribution import least_utilisation
 
 STEPS = 8, 4, 12  # each for the intervals that are still wide
@@ -84,8 +83,7 @@ class SearchRows(NamedTuple):
 def rows_of(pattern: ca.Sparsity) -> SearchRows:
     """Return the rows for a matrix ``A`` of a given pattern, shape (3 n_wheels, n_rates)."""
     m, n = pattern.shape
-    ends = np.cumsum([0, pattern.nnz(), n, n, 1, 1, 1, 1, m]).tolist()
-    return SearchRows(*(slice(a, b) for a, b in pairwise(ends)))
+    return SearchRows(*consecutive(pattern.nnz(), n, n, 1, 1, 1, 1, m))
 
 
 def friction_graphs(pattern: ca.Sparsity) -> FrictionGraphs:

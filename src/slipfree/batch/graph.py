@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from itertools import pairwise
 from typing import NamedTuple
 
 import casadi as ca
@@ -18,7 +17,7 @@ import numpy as np
 from slipfree.core.dae import Continuation, Dae, PlacedCheck, WheelCheck
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import Lookup, dense, evaluate, found_column, needed_lookups
-from slipfree.core.records import Array, leaves, pack
+from slipfree.core.records import Array, consecutive, leaves, pack
 
 SAMPLES = 13  # states at which pivots are chosen: one at rest, and pairs of opposite ones
 PLACING_STEPS = 20  # Newton steps to their positions
@@ -131,8 +130,8 @@ def graphs_of(dae: Dae) -> Graphs:
             "batch: expected a model of kinematics or quasi-statics, found another one; use "
             "method='simulate'"
         )
-    ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
-    p, w, f = (dae.columns()[1][a:b] for a, b in pairwise(ends))
+    blocks = dae.block_rows
+    p, w, f = (dae.columns()[1][each] for each in blocks)
     late = [ca.depends_on(rate, f) for rate in ca.vertsplit(dae.quad)] if dae.quad.numel() else []
     kept = tuple(k for k, is_late in enumerate(late) if not is_late)
     linear = not ca.depends_on(ca.jacobian(dae.residuals[1], w), w)
@@ -150,11 +149,11 @@ def graphs_of(dae: Dae) -> Graphs:
     scale = ca.DM(dae.scale)
     new_p, moved = _moved(dae, (p, w), quad, eliminate)
     # sums, since maxima would ignore what is not a number
-    change = ca.norm_1((new_p - p) / scale[: ends[1]])
+    change = ca.norm_1((new_p - p) / scale[blocks[0]])
     forces = f
     if f.numel():
         forces = f - eliminate(ca.jacobian(dae.residuals[2], f), dae.residuals[2])
-    doubt = _doubt(forces - f, ca.DM(dae.scale[ends[2] :]), distances, f)
+    doubt = _doubt(forces - f, ca.DM(dae.scale[blocks[2]]), distances, f)
     watched = ca.vertcat(forces, *_with([doubt, *distances], f, forces))
     (watched,) = _with([watched], w, moved[1])
     before = _with([moved[0]], state[rows.u], state[rows.v])[0] if n_before else ca.SX(0, 1)
@@ -170,7 +169,7 @@ def graphs_of(dae: Dae) -> Graphs:
         rows,
         state,
         kept,
-        graph("guess", *(dae.guess[a:b] for a, b in pairwise(ends)), dae.rest),
+        graph("guess", *(dae.guess[each] for each in blocks), dae.rest),
         graph("place", new_p, change),
         graph("motion", *motion),
         graph("checked", *motion, watched[:n_f], watched[n_f], watched[n_f + 1 :], before),
@@ -196,8 +195,7 @@ def state_of(
     stage = ca.SX(0, 1) if continuation is None else continuation.symbol
     q, v = ca.SX.sym("q", quadratures), ca.SX.sym("v", inputs_before)
     columns = [x, p, q, w, f, u, v, parameters, stage, lag, dae.t]
-    edges = np.cumsum([0, *(each.numel() for each in columns)]).tolist()
-    return StateRows(*(slice(a, b) for a, b in pairwise(edges))), ca.vertcat(*columns)
+    return StateRows(*consecutive(*(each.numel() for each in columns))), ca.vertcat(*columns)
 
 
 def _continuation(dae: Dae) -> Continuation | None:
@@ -289,7 +287,6 @@ def graph_of(dae: Dae, state: ca.SX, name: str, results: Sequence[ca.SX]) -> Gra
     column = ca.densify(ca.vertcat(*results))
     lookups = needed_lookups(dae.lookups, [column])
     inputs = [state, found_column(lookups)]
-    ends = np.cumsum([0, *(each.numel() for each in results)]).tolist()
     return Graph(
         name,
         ca.Function(name, inputs, [column], {"cse": True}),
@@ -298,7 +295,7 @@ def graph_of(dae: Dae, state: ca.SX, name: str, results: Sequence[ca.SX]) -> Gra
             ca.Function(f"{name}_{k}", inputs, [ca.densify(each.argument)])
             for k, each in enumerate(lookups)
         ),
-        tuple(slice(a, b) for a, b in pairwise(ends)),
+        tuple(consecutive(*(each.numel() for each in results))),
     )
 
 
@@ -355,7 +352,7 @@ def _sampled_states(dae: Dae, state: ca.SX, rows: StateRows) -> Array:
     if continuation is not None:
         samples[rows.stage] = continuation.values[0]
     guessed, _ = evaluate(guess, samples[rows.x], samples[rows.c])
-    unknowns = np.split(guessed, np.cumsum([r.stop - r.start for r in rows.z[:2]]))
+    unknowns = [guessed[each] for each in dae.block_rows]
     samples[rows.p], samples[rows.f] = unknowns[0], unknowns[2]
     # apart from the ground, entries that vanish in contact would become pivots
     closure, placed = dae.residuals[0], samples.copy()

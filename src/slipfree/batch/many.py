@@ -407,9 +407,8 @@ def assemble_state(graphs: Graphs, x: Array, z: Array, q: Array) -> Array:
     """Return a state, shape (n_rows,), from local states, unknowns and all quadratures."""
     rows, state = graphs.rows, start_states(graphs, {})[:, 0]
     state[rows.x], state[rows.q] = x, q[list(graphs.quadratures)]
-    edges = np.cumsum([part.stop - part.start for part in rows.z[:2]])
-    for part, values in zip(rows.z, np.split(z, edges), strict=True):
-        state[part] = values
+    for part, block in zip(rows.z, graphs.dae.block_rows, strict=True):
+        state[part] = z[block]
     return state
 
 

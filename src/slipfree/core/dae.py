@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, runtime_checkable
 
 import casadi as ca
@@ -511,6 +510,12 @@ class Dae(Generic[X, Z, U, Y]):
         """Inputs that are all zero."""
         return self.inputs(**dict.fromkeys(self.input_names, 0.0))
 
+    @property
+    def quantities(self) -> Iterator[tuple[Label, ca.SX]]:
+        """Labels and expressions of states, unknowns, inputs and outputs, one after the other."""
+        x, z, _, u, y, _ = self.labels
+        return zip(leaves((x, z, u, y)), leaves((self.x, self.z, self.u, self.y)), strict=True)
+
     @cached_property
     def all_limits(self) -> tuple[Limit, ...]:
         """Limits of the model, and those of checks that are also expressions, for planners."""
@@ -553,9 +558,13 @@ class Dae(Generic[X, Z, U, Y]):
     @property
     def residuals(self) -> tuple[ca.SX, ...]:
         """Blocks of ``alg`` divided by their scales, dimensionless."""
-        ends = np.cumsum([0, *(rows.numel() for rows in self.alg)]).tolist()
-        sizes = [self.sizes.alg[begin:end] for begin, end in pairwise(ends)]
-        return tuple(rows / ca.DM(size) for rows, size in zip(self.alg, sizes, strict=True))
+        pairs = zip(self.alg, self.block_rows, strict=True)
+        return tuple(block / ca.DM(self.sizes.alg[rows]) for block, rows in pairs)
+
+    @property
+    def block_rows(self) -> list[slice]:
+        """Rows of each block in the columns of equations and of unknowns."""
+        return records.consecutive(*(block.numel() for block in self.alg))
 
     def inputs(self, **values: InputValue) -> Record:
         """Return the record of inputs from values by name.
@@ -652,14 +661,10 @@ class Dae(Generic[X, Z, U, Y]):
             If no state, unknown, input or output has that name.
         """
         found, known = [], set()
-        for record in ("x", "z", "u", "y"):
-            pairs = zip(
-                leaves(getattr(self.labels, record)), leaves(getattr(self, record)), strict=True
-            )
-            for label, expression in pairs:
-                known.add(label.name)
-                if name in (label.name, label.full):
-                    found.append(expression)
+        for label, expression in self.quantities:
+            known.add(label.name)
+            if name in (label.name, label.full):
+                found.append(expression)
         for limit in self.all_limits[len(self.limits) :]:  # of checks
             known.add(limit.label.name)
             if name == limit.label.name:

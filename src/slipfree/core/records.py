@@ -11,6 +11,7 @@ import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from html import escape
+from itertools import accumulate, pairwise
 from typing import Any
 
 import casadi as ca
@@ -93,6 +94,11 @@ def unpack(like: R, rows: Iterable[Any]) -> R:
 
     result: R = build(like)
     return result
+
+
+def consecutive(*counts: int) -> list[slice]:
+    """Return the slices of consecutive parts of a column with given numbers of rows."""
+    return [slice(a, b) for a, b in pairwise(accumulate(counts, initial=0))]
 
 
 def symbols(labels: R) -> R:

@@ -13,7 +13,6 @@ import re
 import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -209,9 +208,8 @@ def _model(vehicle: Vehicle, grid: Grid, rates: GivenRates) -> _Model:
     inverse = invert(direct, rates)
     (x, z, u), relaxing = inverse.columns(), direct.rest.numel()
     n = x.numel() - relaxing
-    ends = np.cumsum([0, *(len(labels) for labels in inverse.labels.alg)]).tolist()
-    pairs = list(pairwise(ends))[1:-1]  # neither the positions nor the forces
-    blocks = [(rows, z[a:b]) for rows, (a, b) in zip(inverse.residuals[1:-1], pairs, strict=True)]
+    pairs = zip(inverse.residuals, inverse.block_rows, strict=True)
+    blocks = [(law, z[rows]) for law, rows in pairs][1:-1]  # neither the positions nor the forces
     # answers: rates of wheels and joints, targets of steered joints, and velocities
     answers: list[tuple[Label, ca.SX]] = [
         *zip(direct.labels.u.wheels, direct.u.wheels, strict=True)
@@ -229,7 +227,7 @@ def _model(vehicle: Vehicle, grid: Grid, rates: GivenRates) -> _Model:
     derived = derived_rates(direct)
     answers += [derived[name] for name in COMMANDS]
     answer = ca.vertcat(*(expression for _, expression in answers))
-    labels, pose = [label for label, _ in answers], ca.vertcat(x[n:], z[: ends[1]])
+    labels, pose = [label for label, _ in answers], ca.vertcat(x[n:], z[inverse.block_rows[0]])
     return _Model(direct, inverse, relaxing, x[:n], pose, u, blocks, answer, labels)
 
 

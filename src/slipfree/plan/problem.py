@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain, repeat
 from typing import Annotated
 
 import casadi as ca
@@ -105,13 +106,7 @@ def _cost_term(dae: Dae, name: str) -> Cost:
     # the square of a square root ``sqrt(e)`` is ``e``, which is differentiable at zero
     squares = ca.SX(sum(each.dep(0) if each.op() == ca.OP_SQRT else each**2 for each in terms))
     meaning = f"squared {name}, integrated over time"
-    records = (dae.labels.x, dae.labels.z, dae.labels.u, dae.labels.y)
-    unit = next(
-        label.unit
-        for record in records
-        for label in leaves(record)
-        if name in (label.name, label.full)
-    )
+    unit = next(each.unit for each, _ in dae.quantities if name in (each.name, each.full))
     return Cost(name, squares, "s" if unit == "1" else f"({unit})2 s", meaning)
 
 
@@ -139,18 +134,14 @@ def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
     """Yield limits on a quantity, given in map coordinates; one per wheel for wheel quantities."""
     low, high = range_of(bounds)
     is_known = False
-    for record, shift in (("x", dae.shift[0]), ("z", dae.shift[1]), ("u", None), ("y", None)):
-        labels = list(leaves(getattr(dae.labels, record)))
-        for k, (label, expression) in enumerate(
-            zip(labels, leaves(getattr(dae, record)), strict=True)
-        ):
-            if name in (label.name, label.full):
-                away = dae.reported.get(label.full, 0.0)
-                away += 0.0 if shift is None else float(shift[k])
-                meaning = f"{label.words}{LIMITED_SUFFIX}"
-                own = replace(label, name=f"{label.name}_limit", words=meaning)
-                yield _smooth_limit(Limit(own, expression, low - away, high - away))
-                is_known = True
+    shifts = chain(*dae.shift, repeat(0.0))  # states and unknowns are in local coordinates
+    for (label, expression), shift in zip(dae.quantities, shifts, strict=False):
+        if name in (label.name, label.full):
+            away = dae.reported.get(label.full, 0.0) + float(shift)
+            meaning = f"{label.words}{LIMITED_SUFFIX}"
+            own = replace(label, name=f"{label.name}_limit", words=meaning)
+            yield _smooth_limit(Limit(own, expression, low - away, high - away))
+            is_known = True
     for limit in dae.all_limits:
         if name in (limit.label.name, limit.label.full):
             yield limit._replace(lower=max(low, limit.lower), upper=min(high, limit.upper))

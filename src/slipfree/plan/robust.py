@@ -19,7 +19,7 @@ from annotated_types import Ge, Gt, Le, Lt, Unit
 
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError, SlipfreeError
-from slipfree.core.records import field_overview
+from slipfree.core.records import with_overview
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import number, role_of
 from slipfree.plan.polynomial_motion import PolynomialMotion
@@ -107,6 +107,7 @@ class Replays(NamedTuple):
         return [float(np.quantile(finite, level)) if finite else np.nan for level in levels]
 
 
+@with_overview
 class RobustPlan(NamedTuple, Generic[P]):
     """A plan with tightened limits, and its simulations in drawn worlds."""
 
@@ -116,9 +117,6 @@ class RobustPlan(NamedTuple, Generic[P]):
     tightening: dict[Bound, float]  # distance from the given bound, in its unit
     rounds: int  # number of times that the limits were tightened
     failure: str  # why the last round could not tighten the limits as far as intended
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
 
 def robust_plan(

@@ -9,6 +9,7 @@ needs a third of the iterations (Albersmeyer and Diehl, The lifted Newton method
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
@@ -93,13 +94,8 @@ def stage_functions(
     r, equations, paid = _split_costs(costs, ca.vertcat(x, z))
     kept = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
     motion = [
-        Label(
-            f"{label.name}_motion",
-            label.unit,
-            f"collocation equation of {label.words}",
-            label.wheel,
-        )
-        for label in leaves(dae.labels.x)
+        replace(each, name=f"{each.name}_motion", words=f"collocation equation of {each.words}")
+        for each in leaves(dae.labels.x)
     ]
     model = [label for block in dae.labels.alg[: len(blocks)] for label in block]
     own = [Label(f"{label.name}_root", "1", f"root of {label.words}") for label, _ in equations]

@@ -567,27 +567,24 @@ def _equation_blocks(
 ) -> tuple[Block, ...]:
     """Return the blocks of equations in their order; ModelError if one needs a later block."""
     z, driven = dae.columns()[1], ca.vertcat(ca.SX(0, 1), *law)
-    ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
     blocks = list[Block]()
-    for rows, (begin, end), labels in zip(
-        dae.residuals, pairwise(ends), dae.labels.alg, strict=True
-    ):
+    for residual, part, labels in zip(dae.residuals, dae.block_rows, dae.labels.alg, strict=True):
         if not labels:
             continue
-        (inserted,) = ca.substitute([rows], [dae.columns()[2]], [driven])
-        own = z[begin:end]
-        if ca.depends_on(inserted, z[end:]):
+        (inserted,) = ca.substitute([residual], [dae.columns()[2]], [driven])
+        if ca.depends_on(inserted, z[part.stop :]):
             raise ModelError(
                 "alg: expected blocks of equations without unknowns of later blocks, found a block "
                 f"with such unknowns, which begins with {labels[0].full}; "
                 "change the order of the blocks"
             )
         is_continued = dae.continuation is not None and ca.depends_on(inserted, continuation)
+        span = part.start, part.stop
         blocks.append(
             Block(
-                slice(begin, end),
-                *block_functions(dae, (begin, end), law, u, continuation, compiled=compiled),
-                ca.is_linear(inserted, own),
+                part,
+                *block_functions(dae, span, law, u, continuation, compiled=compiled),
+                ca.is_linear(inserted, z[part]),
                 dae.continuation.values if dae.continuation and is_continued else (0.0,),
                 labels,
             )
