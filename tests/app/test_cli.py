@@ -261,8 +261,7 @@ def test_every_command_can_be_quiet_verbose_and_json() -> None:
 def test_completion(line: str, found: set[str]) -> None:
     count = str(len(line.split(" ")) - 1)
     words = {"_SLIPFREE_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": count}
-    done = CliRunner().invoke(app, [], env=words, prog_name="slipfree")
-    assert set(done.output.split()) == found
+    assert set(CliRunner().invoke(app, [], env=words, prog_name="slipfree").output.split()) == found
 
 
 def _printed(stdout: Any, **more: str) -> bytes:

@@ -326,8 +326,7 @@ def test_a_restarted_server_and_double_clicks_lose_no_change(page: EditPage) -> 
     assert page.places()["start"][0] == 0.5
     assert not is_stale(page)
     page.run("remember(); places.regions = []; draw();")
-    save = page.driver.find_element("id", "save")
-    ActionChains(page.driver).double_click(save).perform()
+    ActionChains(page.driver).double_click(page.driver.find_element("id", "save")).perform()
     page.rest()
     assert data_of(page)["start"]["x"] == 0.5
     assert "keep_out" not in data_of(page)

@@ -146,8 +146,7 @@ def read(text: str, columns: str = "") -> tuple[DriveLog, str]:
     Path("log.csv").write_text(text)
     Path("fit.toml").write_text(PROBLEM + columns)
     problem, rows = load_problem("fit.toml", command="fit"), list[tuple[str, str]]()
-    reader = _Reader(problem, inputs_of(problem), None, rows)
-    (log,) = reader.read([Path("log.csv")], ())
+    (log,) = _Reader(problem, inputs_of(problem), None, rows).read([Path("log.csv")], ())
     return log, rows[0][1]
 
 
@@ -180,9 +179,9 @@ REFUSED = {
     ),
     "a row without order": (table(DRIVE[LATE]), "in line 43: one row is late; sort the rows by"),
     "rows without order": (table(DRIVE[::-1]), "in line 3: so do many others; sort the rows"),
-    "w first": (
-        quaternions("t,left,right,x,y,qz,qy,qw,qx", 4),
-        "found 'quaternions of one upside down'; correct their names: w is probably the first",
+    "w last, named first": (
+        quaternions("t,left,right,x,y,qw,qx,qy,qz", 4),
+        "found 'tilts of more than 45 degrees'; correct the names of the four parts: w is",
     ),
     "drives sorted, with other times": (
         mixed(np.vstack([DRIVE, OTHER[::3] + 0.03 * np.eye(6)[0]])),
@@ -219,9 +218,9 @@ REFUSED = {
         table(DRIVE[:, [0, 2, 1, 3, 4, 5]]),
         "to the left where right wheels are faster, .*; exchange the rates of the sides",
     ),
-    "rates positive backward": (
-        changed(dict.fromkeys((1, 2), np.negative)),
-        "or change their sign if they are positive backward",
+    "north, east and down": (
+        changed(dict.fromkeys((4, 5), np.negative)),
+        "change their sign if they are positive backward, or change the signs of y and of",
     ),
     "left rates positive backward": (
         changed({1: np.negative}),
@@ -239,9 +238,13 @@ REFUSED = {
         changed({0: lambda t: 1e3 * t}),
         r"at most 10 s apart, found 100 s \(median\); if the times are in other units, name",
     ),
-    "counts of encoders": (
-        table(np.column_stack([DRIVE[:, 0], TICKS, TICKS, DRIVE[:, 3:]])),
+    "counts of encoders that start again": (
+        table(np.column_stack([DRIVE[:, 0], TICKS % 50, TICKS % 60, DRIVE[:, 3:]])),
         "probably angles or counts of an encoder; write their change over the time",
+    ),
+    "counts of every sample": (
+        changed(dict.fromkeys((1, 2), lambda rate: np.round(100 * rate))),
+        "a motion of 0.0102 times the travel of the wheels, probably another unit",
     ),
     "speeds of wheels": (
         changed(dict.fromkeys((1, 2), lambda rate: 0.15 * rate)),
@@ -547,7 +550,7 @@ CIRCLE = np.column_stack([TIMES, 3 + 0 * TIMES, 4 + 0 * TIMES, np.sin(YAW), 1 - 
         ({0: 1 / 60}, "times in minutes, as in 't [minutes]'"),
         ({1: 30 / np.pi, 2: 30 / np.pi}, "rates in rpm, as in 'left [rpm]'"),
         ({3: 1e3, 4: 1e3}, "positions in mm, as in 'x [mm]'"),
-        ({0: 1 / 86400}, "probably another unit"),
+        ({0: 1 / 86400}, "times in days, which must be multiplied by 86400"),
     ],
 )
 def test_units_by_the_travel_of_the_wheels(factors: dict[int, float], words: str) -> None:

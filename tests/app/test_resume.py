@@ -49,8 +49,7 @@ def test_another_goal_takes_at_most_half_the_iterations(solved, tmp_path):
 
 @pytest.mark.slow
 def test_a_file_keeps_what_a_plan_leaves(solved):
-    arrays = netcdf.read_arrays(solved)
-    saved = from_arrays(arrays, "file")
+    saved = from_arrays(netcdf.read_arrays(solved), "file")
     assert saved.motion.mesh.ends.size == 9
     assert saved.motion.duration == 20.0
     assert saved.motion.continuous

@@ -58,8 +58,7 @@ def test_gains_of_the_inputs_tighten_the_goal_by_their_quantile(tmp_path, monkey
     assert facts["plan_share_first"].value == pytest.approx(0.5, abs=0.3)  # ends on the bound
     assert facts["plan_share"].value >= 0.8
     # mean gain of two wheels with independent errors; level 0.9: half of the failures left
-    expected = 2.0 * norm.ppf(0.9) * GAIN / np.sqrt(2)
-    assert y - 2.0 == pytest.approx(expected, rel=0.5)
+    assert y - 2.0 == pytest.approx(2.0 * norm.ppf(0.9) * GAIN / np.sqrt(2), rel=0.5)
 
 
 def test_draws_are_the_same_in_processes_of_their_own(monkeypatch):

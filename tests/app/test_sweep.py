@@ -469,8 +469,7 @@ def test_runs_with_other_input_files_share_nothing(file, monkeypatch):
     ],
 )
 def test_every_verb_has_figures(file, settings, figures):
-    path = PROBLEMS / file
-    row = work(RunTask(1, recipe_of(load_problem(path), *settings), ())).row
+    row = work(RunTask(1, recipe_of(load_problem(PROBLEMS / file), *settings), ())).row
     assert row.outcome == "complete", row.words
     assert figures <= set(row.figures)
     if "within_limits" in figures:

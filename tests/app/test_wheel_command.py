@@ -136,8 +136,7 @@ cohesion = 700.0
 def test_problems_take_soils_by_name_and_regions(tmp_path):
     path = tmp_path / "p.toml"
     path.write_text(SAND.replace('friction_angle = "30 deg"', 'name = "lunar"') + PATCH)
-    problem = load_problem(path)
-    law = model_law(problem)
+    law = model_law(load_problem(path))
     assert replace(law, regions=()) == replace(known_soil("lunar"), cohesion=500.0)
     (region,) = law.regions
     assert region.soil == replace(known_soil("dry_sand"), cohesion=700.0)

@@ -24,8 +24,7 @@ def ridge():
 
 @pytest.fixture(scope="module")
 def poses():
-    ground = Bicubic(ridge(), mu=0.4)
-    model = direct_kinematics(catalog.three_wheeler(), ground)
+    model = direct_kinematics(catalog.three_wheeler(), Bicubic(ridge(), mu=0.4))
     return atlas(model, headings=4, compiled=False)
 
 

@@ -262,8 +262,9 @@ def test_tiles_in_degrees(tmp_path):
             "degrees on the earth, found a body of radius 1737400 m .*gdalwarp",
         ),
         ({"transform": from_origin(1e9, 1e9, 0.5)}, "domain of its projection, found no scale"),
-        ({"transform": Affine(0.2, 0.1, 5, 0.1, -0.2, 7)}, "rotated, sheared or mir.*gdalwarp"),
+        ({"transform": Affine(0.2, 1e-5, 5, 1e-5, -0.2, 7)}, "rotated, sheared or mir.*gdalwarp"),
         ({"crs": None, "transform": from_origin(15, 47, 1e-4)}, "seems to be in degrees"),
+        ({"crs": "EPSG:5513"}, "to the north, found axes to the west of EPSG:5513; .*gdalwarp"),
         ({"crs": f"{UTM}+5715"}, "positive upward, found depths, positive downward; .*--calc=-A"),
     ],
 )
@@ -412,6 +413,7 @@ def test_gray_pictures_of_all_formats(tmp_path, name):
         ("map.tif", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS; fetch it: git lfs"),
         ("map.sdat", b"", r"in .npz, .tif, .* found '.sdat', a part of a map; header and .*transl"),
         ("map.tif", None, "map.tif: expected a map, found that it cannot be read"),
+        ("map.asc", "ncols 4".encode("utf-16"), "UTF-16; convert it: iconv -f utf-16 -t utf-8 ma"),
         ("a.zip", b"", "unpack it: unzip a.zip"),
         ("a.shp", b"", "contours to a raster: gdal_grid .* a.shp out.tif"),
     ],
@@ -530,12 +532,16 @@ def test_heights_in_other_units_are_converted(tmp_path):
         found = read_map(path)
         assert_allclose(found.grid.z, length * ROWS[::-1].T, rtol=1e-15)
         assert f"converted from {unit}" in dict(found.facts)["ground map heights"]
+    # GDAL states the unit of a vertical reference system for GeoTIFF only
+    path = geotiff(tmp_path / "map.gpkg", driver="GPKG", crs=f"{UTM}+6360")
+    assert_allclose(read_map(path).grid.z, 1200 / 3937 * ROWS[::-1].T, rtol=1e-15)
 
 
-def netcdf(path, order="yx", names="z", **changes):
+def netcdf(path, order="yx", names="z", bend=0.0, **changes):
     """Write ``ROWS`` from the south, with attributes of x, y and z; return the path."""
     attributes = {"x": {"axis": "X", "units": "m"}, "y": {"axis": "Y"}, "z": {}} | changes
     values = {"x": WEST + CELL * np.arange(40), "y": NORTH + CELL * np.arange(32)}
+    values["x"][5] += bend
     with netcdf_file(path, "w") as file:
         for name, axis in values.items():
             file.createDimension(name, axis.size)
@@ -552,11 +558,13 @@ def netcdf(path, order="yx", names="z", **changes):
     [
         ({"x": {}, "y": {}}, r"uniform coordinates x and y, .*none; .*attrs\['axis'\] = 'X'"),
         ({"x": {"axis": "X", "units": "km"}}, "coordinates x in metres or deg.*the unit 'km'"),
-        ({"order": "xy"}, "heights along the coordinates x, 500000 to 500009.75, found"),
+        ({"order": "xy"}, "heights along uniform x from 500000 to 500009.75, found"),
         ({"x": {"axis": "X", "actual_range": np.array([0.0, 9.75])}}, "heights at x = 0.* to 9"),
         ({"x": {"axis": "X", "units": "degrees_east"}}, "a map in metres, found degrees"),
         ({"z": {"positive": "down"}}, "heights that are positive upward, found depths"),
-        ({"names": "zs"}, "one variable of heights, found z, s; keep one: .*NETCDF:in.nc:z"),
+        ({"z": {"standard_name": "depth"}}, "heights that are positive upward, found depths"),
+        ({"bend": 0.1}, "uniform x from 500000 to 500009.75, found heights at x = 500000 to"),
+        ({"names": "zs"}, "one raster of heights, found .*keep one: .*netcdf:in.nc:z out.tif"),
     ],
 )
 def test_coordinates_of_netcdf_files(tmp_path, changes, words):

@@ -572,8 +572,7 @@ def _quantities(
             bounds = least_friction_of_loads(terms, tolerance)
         else:
             bounds = least_friction(evaluator.more, more.friction, terms, tolerance)
-        names = (label.name for label in evaluator.least)
-        bands |= zip(names, bounds, strict=True)
+        bands |= zip((label.name for label in evaluator.least), bounds, strict=True)
     return bands
 
 

@@ -497,8 +497,7 @@ def _ends(evaluate: Evaluator, codes: Indices, states: Array) -> Iterator[tuple[
 def columns_of(graphs: Graphs, states: Array) -> tuple[Array, Array, Array]:
     """Return ``x``, ``z`` and ``u`` of states."""
     rows = graphs.rows
-    z = np.concatenate([states[part] for part in rows.z])
-    return states[rows.x], z, states[rows.u]
+    return states[rows.x], np.concatenate([states[part] for part in rows.z]), states[rows.u]
 
 
 def sources_of(graphs: Graphs, names: Sequence[str] | None) -> dict[str, Wanted]:

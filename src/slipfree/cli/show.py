@@ -224,8 +224,7 @@ def edit(
     post = {f"/{name}": desk.accept(name) for name in ("plan", "cancel", "save")}
     gate = Gate("slipfree edit", console.warn)
     server = start_server(port, get, post, gate)
-    thread = threading.Thread(target=server.serve_forever, args=(STEP,), daemon=True)
-    thread.start()
+    threading.Thread(target=server.serve_forever, args=(STEP,), daemon=True).start()
     try:
         open_page(gate.url(server.server_port), browser, "edits the plan")
         while True:

@@ -129,8 +129,7 @@ def pareto(
     problem = console.read_problem(file, settings, trust)
     folder = out or Path(f"{problem.source.path.stem}_pareto")
     files = {k: f"point_{k + 1:02}.nc" for k in range(points)} | {GIVEN: "plan.nc"}
-    outputs = [*FRONT, *files.values()]
-    check_outputs([], files_read(problem), folder=folder, names=outputs)
+    check_outputs([], files_read(problem), folder=folder, names=[*FRONT, *files.values()])
 
     def keep(number: int, point: FrontPoint) -> None:
         result, path = point.solution.result, folder / files[number]

@@ -58,8 +58,7 @@ class GroundRange:
             quotients = np.abs(np.diff(np.diff(self._table, p, axis=0), q, axis=1))
             quotients += 64 * 2.0**-53 * np.abs(self._table).max()  # rounding of the differences
             quotients /= h_x**p * h_y**q / (1 + 1e-12)
-            windows = sliding_window_view(quotients, (4 - p, 4 - q))
-            levels.append(windows.max(axis=(-1, -2)))
+            levels.append(sliding_window_view(quotients, (4 - p, 4 - q)).max(axis=(-1, -2)))
         missing = np.zeros(ground.grid.z.shape, dtype=bool) if holes is None else holes
         # by level: derivatives (6, cells in x, cells in y), and cells that touch holes
         self._largest = [np.stack(levels)]

@@ -886,8 +886,7 @@ def _tread(radii: Array, angles: Intervals) -> tuple[Intervals, Intervals, Inter
     zero = exactly(np.zeros_like(rho.low))
     point = stack([axial, rho * cos_v, rho * sin_v])
     turned = stack([zero, -(rho * sin_v), rho * cos_v])
-    rolled = stack([-away, axial * cos_v, axial * sin_v])
-    return point, turned, rolled
+    return point, turned, stack([-away, axial * cos_v, axial * sin_v])
 
 
 def _placed(poses: WheelPoses, spot: Intervals) -> Intervals:

@@ -30,7 +30,7 @@ FAR = 0.3  # least distance of a row that is away from both of its neighbours [m
 RETURN, MIXED = 0.1, 0.03  # distance of these over it, and share of such rows in mixed drives [1]
 CHORD, CHORDS = 1.0, 50  # time of chords that have a course [s], and least number of them in a log
 LEAST_CHORDS = 5
-MAX_RATIO = 50.0  # of the motion to the travel of the wheels; slip has smaller ones [1]
+MAX_RATIO = 50.0  # of the motion to the travel of the wheels, or of this to that [1]
 ALIKE, NEAR = 0.9, 0.25  # least cosine of similar speeds, and tolerance of the ratio of units [1]
 CLEAR, CLEARER = 0.8, 0.3  # least concentration of courses about headings, and least difference
 OPPOSITE, COUNTS = 0.5, 0.95  # least correlations of turns, and of counts with the path [1]
@@ -49,6 +49,8 @@ OF_SPEEDS = {
 OF_POSES = {
     "times in ms, as in 't [ms]'": 1e-3,
     "times in minutes, as in 't [minutes]'": 60.0,
+    "times in days, which must be multiplied by 86400": 86400.0,
+    "positions in km, as in 'x [km]'": 1e-3,
     "positions in feet, as in 'x [ft]'": 1 / 0.3048,
     "positions in cm, as in 'x [cm]'": 1e2,
     "positions in mm, as in 'x [mm]'": 1e3,
@@ -323,7 +325,11 @@ def check_motion(
     if speed is not None:
         travel, sign = change(speed), 1
         if ratios is not None:
-            steps = np.abs(speed[rows + step] - speed[rows])
+            # rates that are angles or counts of an encoder may start again
+            parts = [speed] if sides is None else sides
+            turned = [np.unwrap(each, period=float(np.ptp(each)) or 1.0) for each in parts]
+            counts = np.sum(turned, axis=0)
+            steps = np.abs(counts[rows + step] - counts[rows])
             _check_travel(log, size, np.abs(travel), steps, ratios)
         chords = chords * np.where(travel < 0, -1, 1)
     later = np.isin(rows + step, rows)
@@ -370,8 +376,9 @@ def check_motion(
     elif by_wheels < -OPPOSITE:
         expected, found = "that turn to the left where right wheels are faster", "the opposite"
         remedy = (
-            "exchange the rates of the sides if they are swapped, or change their sign if they are "
-            "positive backward"
+            "exchange the rates of the sides if they are swapped, change their sign if they are "
+            "positive backward, or change the signs of y and of the heading if the axes are north, "
+            "east and down"
         )
     elif not may_turn and abs(alike[1.0]) > ALIKE and abs(offset) > OFFSET:
         expected, found = "along the course", f"a constant difference of {offset:.0f} deg"
@@ -445,7 +452,7 @@ def _check_travel(
     units = ", or ".join(w for w, each in ratios.items() if abs(ratio / each - 1) < NEAR)
     if likeness > ALIKE and ratio < DEGREE:
         raise _degrees(log.path, log.values, ["x", "y"])
-    units = units or "another unit" * (ratio > MAX_RATIO)
+    units = units or "another unit" * (not 1 / MAX_RATIO < ratio < MAX_RATIO)
     if likeness > ALIKE and units:
         raise DataError(
             f"{log.path}: expected times in s, positions in m and rates in SI units, found a "

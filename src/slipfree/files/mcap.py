@@ -275,8 +275,7 @@ def write_mcap(
 
         def write(time: int, topic: str, kind: str, content: dict[str, Any]) -> None:
             if kind not in schemas:
-                name = kind.replace("/", "/msg/")
-                schemas[kind] = writer.register_msgdef(name, definition(kind))
+                schemas[kind] = writer.register_msgdef(kind.replace("/", "/msg/"), definition(kind))
             writer.write_message(topic, schemas[kind], content, log_time=time)
 
         rows = zip(times, origins.tolist(), rotation.as_quat().tolist(), strict=True)

@@ -30,7 +30,8 @@ from slipfree.system.regular_files import read_bytes, replacing
 SHOWN, LONG = 60, 300  # longest line, and longest list of names, in messages
 SAMPLE = 200, 200_000  # most lines and characters from which the layout is inferred
 SEPARATORS = (";", "|", "\t", ",", None)  # None: blanks
-COMMENT = re.compile(r"^\s*#|#(?![0-9a-fA-F]{6}\b)")  # no colour within a line, as of points
+# no colour within a line, as of points, and no error of a spreadsheet, as in #N/A
+COMMENT = re.compile(r"^\s*#|#(?![0-9a-fA-F]{6}\b|N/A|NV\b|[A-Z/0]+[!?])")
 COMMENTS = ("#", "%", "//")
 UNIT_FACTORS = {  # factors to SI units, by the SI unit, or "heights", and the name of the unit
     unit: {name: float(factor) for names, factor in rows.items() for name in names.split(", ")}
@@ -60,7 +61,8 @@ HEAD = 1 << 16  # bytes from which the encoding is inferred
 COUNTS = {2: "two", 3: "three", 4: "four"}
 DAY, TIME_OF_DAY = 86400.0, 10957  # length of a day [s], and that of times of day since 1970 [1]
 EPOCH = 1e8  # smallest time that counts from a fixed date, not from the start of a log [s]
-MISSING = ("", "nan", "na", "n/a", "null", "none", "-")  # cells without a number, in small letters
+# cells without a number, in small letters
+MISSING = ("", "nan", "na", "n/a", "#n/a", "#nv", "null", "none", "-")
 PARTS = {  # columns from which a quantity follows: pattern of stem and part, and required parts
     "t": (re.compile(r"(.*?)((?:nano|n)?sec(?:s|onds)?)$", re.IGNORECASE), "sn"),
     "heading": (
@@ -69,7 +71,7 @@ PARTS = {  # columns from which a quantity follows: pattern of stem and part, an
     ),
 }
 UNIT_LENGTH = 0.1  # largest error of the square of a quaternion's length
-UPSIDE_DOWN = 0.1  # share of such rows from which quaternions have another order
+TILT, TILTED = 0.15, 0.1  # of 45 deg, and share of such rows that is of another order [1]
 DATES = "write dates as in 2026-03-01T12:00:00.5, or times in s"
 REMEDIES = {  # by the units that were expected and found
     ("m", "rad"): "project the positions to metres",
@@ -217,10 +219,10 @@ def read_columns(
     if "heading:z" in read:
         q = [read.get(f"heading:{part}", 0 * read["heading:z"]) for part in "xyzw"]
         is_turn = np.abs(np.square(q).sum(axis=0) - 1) < UNIT_LENGTH
-        if np.mean(np.square(q[:2]).sum(axis=0) > 0.5) > UPSIDE_DOWN:
-            wanted = "quaternions of a vehicle that stands upright, in the order x, y, z, w"
-            remedy = "correct their names: w is probably the first part"
-            raise layout.error(layout.first, "quaternions of one upside down", wanted, remedy)
+        if np.mean(np.square(q[:2]).sum(axis=0) > TILT) > TILTED:
+            wanted = "quaternions of a vehicle that stands upright"
+            remedy = "correct the names of the four parts: w is probably another one"
+            raise layout.error(layout.first, "tilts of more than 45 degrees", wanted, remedy)
         read["heading"] = np.where(is_turn, yaw_of(*q), np.nan)
         chosen["heading"] = chosen["heading:z"][0], "rad"
     values, start = {}, 0.0
@@ -386,7 +388,6 @@ def _layout_with(
         elif len(cells) > 1 or not _is_number(text, separator):  # a number alone counts the rows
             heads.append((number, text, cells))
     is_named = any(len(cells) == width for _, _, cells in heads)
-    used: dict[str, str] = {}  # decimal signs, and a cell with each
     for number, cells in rows:
         odd = next((cell for cell in cells if re.fullmatch(r"0\d+", cell)), "")
         if odd and separator == "," and not is_named:
@@ -394,14 +395,6 @@ def _layout_with(
                 f"{path}:{number}: expected numbers with decimal points, found {odd!r} between "
                 "commas, probably decimals of a number with a comma; write decimal points, or "
                 "separate the columns by semicolons, and give names in the first line"
-            )
-        for cell in cells if separator != "," else ():
-            if _is_number(cell, separator):
-                used |= {sign: cell for sign in ".," if sign in cell}
-        if len(used) > 1:
-            raise DataError(
-                f"{path}:{number}: expected one decimal sign, found {' and '.join(used.values())}; "
-                "write all numbers with decimal points and without separators of thousands"
             )
     table = [cells for _, cells in rows if len(cells) == width]
     while width > 2 and not any(cells[width - 1] for cells in table):  # separators at line ends
@@ -493,7 +486,7 @@ def _read_numbers(
     lines = (text for _, text in layout.lines(wanted))
     try:
         numbers: Array = np.loadtxt(
-            (text if separator == "," else text.replace(",", ".") for text in lines),
+            (text if separator == "," or "." in text else text.replace(",", ".") for text in lines),
             delimiter=separator,
             usecols=indices,
             quotechar='"',
@@ -527,6 +520,10 @@ def _read_numbers(
             elif re.search(r"\d[.,]\d{3}[.,]\d", text):
                 remedy = "write numbers without separators of thousands"
             raise layout.error(number, text, wanted, remedy)
+        signs = {sign for k in indices for sign in ",." if sign in cells[k] and k not in converters}
+        if separator != "," and len(signs) > 1:
+            remedy = "write all numbers with decimal points and without separators of thousands"
+            raise layout.error(number, text, "one decimal sign", remedy)
         rows.append(values)
     return np.array(rows)
 

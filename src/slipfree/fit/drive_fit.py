@@ -371,8 +371,7 @@ def score_windows(
     """Return the errors of windows that were not fitted, with intervals that rest on others."""
     grade = grades(logs, windows, slopes)
     is_beyond = (grade < fitted.grade.min()) | (grade > fitted.grade.max())
-    surface = windows.names(logs, "surface")
-    reach, campaigns = fitted.reach(surface, windows.length * np.sin(grade))
+    reach, campaigns = fitted.reach(windows.names(logs, "surface"), windows.length * np.sin(grade))
     errors = WindowErrors(*known.predict(logs, windows, slopes).T)
     return Score(errors, windows, grade, is_beyond, reach, campaigns)
 

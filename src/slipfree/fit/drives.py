@@ -352,8 +352,7 @@ def lanes_of(model: Model, values: Array, of_window: Mapping[str, Names]) -> Lan
             rows = [each in unknown.wheels or not unknown.wheels for each in model.wheels]
             radius[rows] = own
         elif unknown.of:
-            names = of_window[BALANCE[name].of]
-            found[name] = np.where(names == unknown.of, own, found[name])
+            found[name] = np.where(of_window[BALANCE[name].of] == unknown.of, own, found[name])
         else:
             found[name] = own
     return Lanes(found, radius)

@@ -304,8 +304,7 @@ class SoilProblem:
 
     def search(self, runs: WheelRuns, start: Array, deviations: Array) -> Any:
         """Return the result of `least_squares` for given deviations of the quantities."""
-        predict = WheelPredictor(self._model, runs)
-        search = Residuals(predict, runs.values, deviations, self._sought)
+        search = Residuals(WheelPredictor(self._model, runs), runs.values, deviations, self._sought)
         return search.run(start, xtol=TOLERANCE, ftol=TOLERANCE)
 
     def solve(self, runs: WheelRuns, start: Array) -> tuple[Array, Array, bool]:
@@ -342,8 +341,7 @@ def check_constant(unknown: Unknown, soil: Soil) -> None:
             f"unknown {unknown.name!r}: expected one of the constants of soil "
             f"{', '.join(STEADY_CONSTANTS)}, found {unknown.quantity!r}; correct it"
         )
-    value = getattr(soil, unknown.quantity)
-    check_nominal(unknown, value, _limits(unknown, soil, ()), "soil")
+    check_nominal(unknown, getattr(soil, unknown.quantity), _limits(unknown, soil, ()), "soil")
 
 
 def _limits(unknown: Unknown, soil: Soil, names: Sequence[str]) -> tuple[float, float]:

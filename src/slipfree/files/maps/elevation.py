@@ -771,8 +771,7 @@ def _read_npz(path: Path, ask: raster.Reading) -> Heights:
         ) from error
     for name, array in arrays.items():
         if array.dtype.kind not in "iuf":
-            expected = f"numbers in the array {name!r}"
-            refuse(expected, f"{array.dtype}", "convert it to float")
+            refuse(f"numbers in the array {name!r}", f"{array.dtype}", "convert it to float")
     x, y, z = (array.astype(np.float64) for array in arrays.values())
     try:
         grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks axes and shapes

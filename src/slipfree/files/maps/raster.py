@@ -62,6 +62,7 @@ TO_HEIGHTS = (
     "--outfile=out.tif, gdal_edit.py -a_srs EPSG:... out.tif"
 )
 DOWN = re.compile(r",\s*down\b", re.IGNORECASE)  # direction of an axis
+VERTICAL_UNIT = re.compile(r'VERT_CS\[.*?UNIT\["([^"]*)"')
 TO_METRES = "gdalwarp -t_srs {} in.tif out.tif"
 Registration = Literal["area", "point"]
 T = TypeVar("T")
@@ -289,7 +290,7 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
         _check_numbers(path, file.driver, file.shape, rows)
     crs = place.crs or ("CRS not given" if place.placed else "placed by cell and registration")
     source = f"{TABLE['names'].get(file.driver, file.driver)} of {file.dtypes[0]}"
-    scale, offset, unit = file.scales[0], file.offsets[0], file.units[0]
+    scale, offset, unit = file.scales[0], file.offsets[0], _unit_name(file)
     words = "in metres" if unit else "unit not stated: taken as metres"
     words += FEET * (not unit and ask.vertical_scale is None)
     if _unit(file) != 1:
@@ -371,7 +372,8 @@ def _check_numbers(path: Path, driver: str, shape: tuple[int, int], used: range)
             numbers = words[is_key:] if is_used else []
             wrong = next((word for word in numbers if not NUMBER.fullmatch(word)), None)
             if wrong is not None:
-                command = f": tr , . < {shlex.quote(path.name)} > points.asc" * (b"," in wrong)
+                change = "-d ," if b"." in wrong else ", ."  # separators of thousands, or decimals
+                command = f": tr {change} < {shlex.quote(path.name)} > points.asc" * (b"," in wrong)
                 others = "" if found else f", after a key of {KEYS[driver]} or alone"
                 refuse(
                     f"numbers in line {n}{others}",
@@ -406,17 +408,22 @@ def _check_numbers(path: Path, driver: str, shape: tuple[int, int], used: range)
         )
 
 
+def _unit_name(file: Any) -> str:  # of the heights, else of the vertical reference system
+    vertical = VERTICAL_UNIT.search(file.crs.to_wkt()) if file.crs else None
+    return file.units[0] or (vertical[1] if vertical else "")
+
+
 def _unit(file: Any) -> float:  # of the heights, NaN if it is not known [m]
-    return LENGTHS.get((file.units[0] or "").strip("[]() ").lower(), math.nan)
+    return LENGTHS.get(_unit_name(file).strip("[]() ").lower(), math.nan)
 
 
 def _check_band(file: Any) -> None:
     """Raise DataError unless a file has one band of heights, upward in a known unit of length."""
     colours = [band.name for band in file.colorinterp[:3]]
     if file.subdatasets:
-        names = [each.rpartition(":")[2] for each in file.subdatasets]
-        remedy = f"keep one: gdal_translate NETCDF:in.nc:{names[0]} out.tif"
-        refuse("one variable of heights", ", ".join(names), remedy)
+        names = [re.sub(r'[^:]*\braster(\.\w+)?"?', r"in\1", each) for each in file.subdatasets]
+        remedy = f"keep one: gdal_translate {names[0]} out.tif"
+        refuse("one raster of heights", ", ".join(names), remedy)
     if file.count != 1 and colours != ["red", "green", "blue"]:
         refuse("one band of heights", f"{file.count} bands", TO_GRAY)
     kind = np.dtype(file.dtypes[0]).kind
@@ -434,11 +441,13 @@ def _check_band(file: Any) -> None:
     if math.isnan(_unit(file)):
         refuse(
             "heights in a unit of length",
-            f"the unit {file.units[0]!r}",
+            f"the unit {_unit_name(file)!r}",
             f"correct it with gdal_edit.py -units; known units: {', '.join(sorted(LENGTHS)[1:])}",
         )
     wkt = file.crs.to_wkt() if file.crs else ""
-    if file.tags(1).get("positive") == "down" or DOWN.search(wkt):
+    tags = file.tags(1)
+    is_depth = tags.get("positive") == "down" or "depth" in tags.get("standard_name", "")
+    if is_depth or DOWN.search(wkt):
         refuse("heights that are positive upward", "depths, positive downward", TO_HEIGHTS)
 
 
@@ -483,7 +492,8 @@ def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
     # GDAL's transform maps corners of pixels to coordinates for both registrations:
     # x = a column + b row + c, y = d column + e row + f
     a, b, c, d, e, f = tuple(file.transform)[:6]
-    if abs(b) + abs(d) > 1e-12 * (abs(a) + abs(e)) or a <= 0 or e == 0:
+    # rotation and shear may move the last row and column by a thousandth of a cell
+    if abs(b) * file.height + abs(d) * file.width > 1e-3 * min(a, abs(e)) or a <= 0 or e == 0:
         refuse(
             "rows that run along x, from west to east",
             f"a raster that is rotated, sheared or mirrored (x = {a:g} column + {b:g} row + ..., "
@@ -517,18 +527,20 @@ def _in_degrees(file: Any, x: UniformAxis, y: UniformAxis) -> bool:
         if len(values) > 1:  # of each node
             continue
         axis = x if role == "x" else y
-        wrong = np.sort(values[0, [0, -1]]) - axis.nodes(slice(0, axis.size))[[0, -1]]
+        part = slice(None) if values.size == axis.size else [0, -1]
+        wrong = np.sort(values[0])[part] - axis.nodes(slice(0, axis.size))[part]
         if unit.startswith("degree"):
             is_degrees = True
             wrong = (wrong + 180) % 360 - 180
         elif LENGTHS.get(unit.lower()) != 1:
             refuse(f"coordinates {name} in metres or degrees", f"the unit {unit!r}", "convert them")
-        if values.size != axis.size or np.abs(wrong).max() > axis.step / 10:
+        if values.size != axis.size or np.abs(wrong).max() > axis.step / 4:
             refuse(
-                f"heights along the coordinates {name}, {values[0, 0]:.9g} to {values[0, -1]:.9g}",
+                f"heights along uniform {name} from {values[0, 0]:.9g} to {values[0, -1]:.9g}",
                 f"heights at {role} = {axis.first:.9g} to "
                 f"{axis.first + axis.step * (axis.size - 1):.9g} by their dimensions or attributes",
-                "write them with the dimensions y, x, without actual_range and GeoTransform",
+                "write them at uniform places, as by d.interp of xarray, with the dimensions y, x, "
+                "without actual_range and GeoTransform",
             )
     return is_degrees
 

@@ -41,6 +41,8 @@ def system_name(crs: Any, command: str, x: float, y: float) -> tuple[str, bool]:
     if crs.is_geographic and not _is_earth(crs):
         radius = f"a body of radius {_ellipsoid(crs)[0]:.9g} m ({name})"
         refuse("degrees on the earth", radius, remedy)
+    if ",WEST]" in wkt:  # of an axis: the map would be turned or mirrored
+        refuse("coordinates to the east and to the north", f"axes to the west of {name}", remedy)
     unit, size = crs.units_factor
     wanted, expected = (math.radians(1), "degrees") if crs.is_geographic else (1.0, "metres")
     if abs(size / wanted - 1) > 1e-9:
