@@ -100,6 +100,29 @@ def test_a_mesh_is_refined_until_the_simulation_agrees(model):
     assert found.stages[-1].words.endswith("intervals")
 
 
+@pytest.mark.slow
+def test_a_plan_that_no_mesh_makes_accurate_is_its_simulation_with_the_goal_moved(
+    model, monkeypatch
+):
+    monkeypatch.setattr(searching, "MAX_REFINEMENTS", 0)
+    options = {"mesh": sf.Mesh(4, degree=1), "duration": (5.0, 20.0)}
+    found = asked(model, way_points={0.5: {"x": (0.02, 0.05)}}, **options)
+    assert {stage.words for stage in found.stages[2:-1]} == {"moved goal"}
+    assert found.stages[-1].words == "simulation"
+    assert found.accurate
+    assert found.optimality is None
+    assert found.prices == ()
+    assert max(found.difference.values()) < 1e-3
+    end, k = found.replay, np.abs(found.replay.t - found.replay.t[-1] / 2).argmin()
+    assert_allclose([end["x"][-1], end["y"][-1]], (0.1, 1.3), atol=1e-3)
+    assert 0.02 - 1e-3 < end["x"][k] < 0.05 + 1e-3
+    again = motion_of(found.program, found.solution.unknowns).states(end.t / end.t[-1])
+    assert_allclose(again[1], end["y"], atol=1e-3)
+    assert found.solution.cost == pytest.approx(
+        1e3 * found.costs["slip"] + 0.01 * found.costs["effort"] + 0.002 * found.costs["smoothness"]
+    )
+
+
 @pytest.mark.parametrize(
     ("errors", "count"),
     [
@@ -125,7 +148,9 @@ def test_refinement_ends_if_the_error_remains(coarse, monkeypatch, errors, count
 
     monkeypatch.setattr(searching, "refine_mesh", halved)
     monkeypatch.setattr(searching, "transcribe", lambda _, mesh, __: replace(program, mesh=mesh))
-    monkeypatch.setattr(searching, "_solve_anew", lambda old, new, *_: old._replace(program=new))
+    monkeypatch.setattr(
+        searching, "_solve_anew", lambda old, new, *_, **__: old._replace(program=new)
+    )
     monkeypatch.setattr(searching, "_add_limits", lambda found, _progress: found)
     _, verification = searching._refine(search, verify, None)
     assert (len(verified), verification.difference["x"]) == (count, min(verified))

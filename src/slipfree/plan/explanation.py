@@ -229,13 +229,11 @@ class Explanation(NamedTuple):
 
 def violations(program: Program, solution: NlpSolution) -> list[Violation]:
     """Return the largest violation of each violated constraint, by relative size (`size_of`)."""
-    worst: dict[tuple[str, str], tuple[float, Violation]] = {}
+    worst: dict[tuple[str, str], Violation] = {}
     values = np.concatenate([solution.rows, solution.unknowns])
-    for size, violation in worst_violations(program, values):
-        key = violation.role, violation.label.full
-        if key not in worst or size > worst[key][0]:
-            worst[key] = size, violation
-    return [each for _, each in sorted(worst.values(), key=lambda pair: -pair[0])]
+    for _, each in sorted(worst_violations(program, values), key=lambda pair: -pair[0]):
+        worst.setdefault((each.role, each.label.full), each)
+    return [*worst.values()]
 
 
 def violation_words(violation: Violation) -> str:

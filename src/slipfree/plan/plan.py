@@ -30,7 +30,7 @@ from slipfree.core.trajectory import (
 )
 from slipfree.plan.explanation import explanation
 from slipfree.plan.guess import initial_guess
-from slipfree.plan.ipopt import STOPPED_STATUS, TIME_STATUS, NlpSolution
+from slipfree.plan.ipopt import NOT_LEAST_STATUSES, STOPPED_STATUS, TIME_STATUS, NlpSolution
 from slipfree.plan.optimality import Optimality, Price, check_optimality, limit_prices
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
@@ -173,14 +173,14 @@ class Plan(SimulatedPlan, Drawable):
     @cached_property
     def optimality(self) -> Optimality | None:
         """Second-order conditions at the solution; None if the program was not solved."""
-        if not self.success or self.solution.status == TIME_STATUS:
+        if not self.success or self.solution.status in NOT_LEAST_STATUSES:
             return None
         return check_optimality(self.program, self.solution, cost_weights(self.program, 1.0))
 
     @cached_property
     def prices(self) -> tuple[Price, ...]:
         """Shadow prices of active limits, largest saving first; empty if ``success`` is False."""
-        is_optimal = self.success and self.solution.status != TIME_STATUS
+        is_optimal = self.success and self.solution.status not in NOT_LEAST_STATUSES
         return limit_prices(self.program, self.solution) if is_optimal else ()
 
 
@@ -376,16 +376,14 @@ def solve_task(
         if search.keep is not None:
             search.keep(_unverified(state))
         if state.found.success and not verified:
-            nothing = np.zeros(state.program.mesh.ends.size - 1, dtype=bool)
-            run = sample_plan(state.program, state.found.unknowns)
-            return Verification(run, {}, {}, {}, nothing, accurate=False)
+            return Verification(sample_plan(state.program, state.found.unknowns), {}, {}, {})
         return verify_plan(
             state.program, state.found.unknowns, start, accuracy=mesh.accuracy, step=mesh.step
         )
 
     if not (searches[0].found.success or searches[0].found.status == STOPPED_STATUS):
         searches[0] = solve_relaxed(searches[0], begun + search.seconds, search.progress)
-    best, verification, optima = best_verified(searches, verify, search.progress)
+    best, verification, optima = best_verified(searches, verify, mesh.accuracy, search.progress)
     program, solution = best.program, best.found
     run = sample_plan(program, solution.unknowns) if best.run is None else best.run
     if not solution.success:
@@ -413,9 +411,7 @@ def _unverified(search: SearchState) -> Plan:
         name = PLAN_UNVERIFIED
         words = "the plan is solved, but the simulation that verifies it did not end"
     run = replace(run, stop=Stop(name, float(run.t[-1]), words, Outcome.INTERRUPTED))
-    nothing = np.zeros(program.mesh.ends.size - 1, dtype=bool)
-    verification = Verification(run, {}, {}, {}, nothing, accurate=False)
-    return _as_plan(search, run, verification)
+    return _as_plan(search, run, Verification(run, {}, {}, {}))
 
 
 def _as_plan(search: SearchState, run: Trajectory, verification: Verification) -> Plan:

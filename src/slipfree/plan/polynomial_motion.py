@@ -215,6 +215,27 @@ def guess_unknowns(program: Program, guess: Trajectory) -> Array:
     return _within_task(program, unknowns_of(program, x, z, u, guess.t[-1] - guess.t[0]))
 
 
+def mesh_along(
+    mesh: CollocationMesh, fractions: Array, x: Array, accuracy: float
+) -> CollocationMesh:
+    """Return a mesh on which polynomials through states, shape (n_x, n), are close to all of them.
+
+    Intervals of ``mesh`` are halved until no state at the ``fractions`` of the duration differs by
+    more than ``accuracy``.
+    """
+    while True:
+        ends, degree = mesh.ends, mesh.degree
+        k = np.clip(np.searchsorted(ends, fractions - FRACTION_TOLERANCE) - 1, 0, None)
+        inside = (fractions - ends[k]) / np.diff(ends)[k]
+        weights = radau_basis(degree).values(inside, tied=True)
+        nodes = np.array([np.interp(mesh.nodes, fractions, row) for row in x])
+        values = nodes[:, degree * k[:, None] + np.arange(degree + 1)]
+        apart = np.abs((weights * values).sum(axis=2) - x).max(axis=0) > accuracy
+        if not apart.any():
+            return mesh
+        mesh = mesh._replace(ends=np.union1d(ends, (ends[k] + ends[k + 1])[apart] / 2))
+
+
 def sample_plan(program: Program, unknowns: Array) -> Trajectory:
     """Return the motion of a program, sampled at the beginning and all collocation points."""
     motion, system = motion_of(program, unknowns), numeric_system(program)

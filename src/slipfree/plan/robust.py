@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import itemgetter
 from typing import Annotated, Any, Generic, NamedTuple, TypeVar
@@ -25,7 +25,7 @@ from slipfree.plan.constraints import number, role_of
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.problem import near_conditions
 from slipfree.plan.transcription import PlanTask
-from slipfree.plan.verification import limit_name, limit_values, tolerated_excess
+from slipfree.plan.verification import largest, limit_name, limit_values, tolerated_excess
 from slipfree.solve.sampling import periodic_states, same_turn
 
 P = TypeVar("P")
@@ -255,7 +255,7 @@ def replay_of(
     excess = [*_excess(dae, limits, samples, "", accuracy, None)]
     if run.stop is not None:
         excess.append(_excess_at_stop(*planned, run))
-        return DisturbedRun(_largest(excess), np.nan)
+        return DisturbedRun(largest(excess), np.nan)
     fractions = run.t / plan.duration
     periodic = periodic_states(dae, samples[1][:, 0], limits)
     states = [lambda fraction: plan.states(np.array([fraction]))[:, 0]]
@@ -270,7 +270,7 @@ def replay_of(
         excess += _excess(dae, condition.limits, at, role, accuracy, goal)
     rows = dae.state_rows("x", "y")
     gaps = samples[1][rows, -1] - plan.states(np.ones(1))[rows, 0]
-    return DisturbedRun(_largest(excess), float(np.hypot(*gaps)))
+    return DisturbedRun(largest(excess), float(np.hypot(*gaps)))
 
 
 def model_limits(task: PlanTask) -> Iterator[Limit]:
@@ -297,13 +297,6 @@ def _excess_at_stop(dae: Dae, plan: PolynomialMotion, run: Trajectory) -> tuple[
             return bound_of(limit, side, ""), max(away, 0.0) or np.inf
     name = "" if run.stop is None else f" ({run.stop.name})"
     return Bound(f"motion ends early{name}"), np.inf
-
-
-def _largest(excess: Iterable[tuple[Bound, float]]) -> dict[Bound, float]:
-    sizes: dict[Bound, float] = {}
-    for bound, size in excess:
-        sizes[bound] = max(sizes.get(bound, -np.inf), size)
-    return sizes
 
 
 def _excess(

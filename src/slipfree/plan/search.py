@@ -23,6 +23,7 @@ from slipfree.plan.ipopt import (
     ITERATIONS_STATUS,
     MAX_FIRST_ITERATIONS,
     MAX_ITERATIONS,
+    SIMULATED_STATUS,
     TIME_STATUS,
     Iterate,
     NlpSolution,
@@ -33,12 +34,13 @@ from slipfree.plan.polynomial_motion import (
     SavedPlan,
     guess_unknowns,
     local_motion,
+    mesh_along,
     motion_of,
     nearest_fraction,
     sample_plan,
     transfer_motion,
 )
-from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, transcribe
+from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, completed, transcribe
 from slipfree.plan.verification import (
     GUESS_TOLERANCE,
     Verification,
@@ -61,6 +63,8 @@ MOST_AT_ONCE = 80  # largest number of intervals of a program that is solved fro
 MAX_LIMIT_ROUNDS = 4  # largest number of times that violated limits are added
 MAX_REFINEMENTS = 6  # largest number of refinements of the mesh
 FUTILE_GROWTH = 4.0  # ratio of intervals after which an unchanged error has another cause
+MAX_REFINED_ITERATIONS = 100  # of a search on a refined mesh, which starts near its solution
+MAX_CORRECTIONS = 5  # largest number of times that a goal or a mesh is adapted to a simulation
 MIN_IMPROVEMENT = 0.8  # ratio of errors on a finer and a coarser mesh for a further refinement
 LIMIT_CLEARANCE = 1e-5  # distance of plans from limits of the model, in their units
 PlanProgress = Callable[[str, Iterate], bool]
@@ -290,6 +294,7 @@ def solve_relaxed(
 def best_verified(
     searches: Sequence[SearchState],
     verify: Callable[[SearchState], Verification],
+    accuracy: float,
     progress: PlanProgress | None,
 ) -> tuple[SearchState, Verification, tuple[LocalOptimum, ...]]:
     """Return the best search with its verification, and a table of all searches.
@@ -300,8 +305,9 @@ def best_verified(
     """
     tried: list[tuple[SearchState, Verification]] = []
     for search in searches:
-        tried.append(_refine(_add_limits(search, progress), verify, progress))
-        last, verification = tried[-1]
+        refined = _refine(_add_limits(search, progress), verify, progress)
+        last, verification = _simulated_plan(*refined, verify, accuracy, progress)
+        tried.append((last, verification))
         ended = last.stages[-1].status in ENDED_STATUSES
         if verification.accurate or not last.found.success or ended:
             break
@@ -311,13 +317,12 @@ def best_verified(
         _local_optimum(each, tried[k][1].accurate if k < len(tried) else None)
         for k, each in enumerate(kept)
     ]
-    first = next(k for k, each in enumerate(kept) if each is best[0])
-    others = sorted((row for k, row in enumerate(rows) if k != first), key=lambda row: row.rank)
+    order = sorted(range(len(rows)), key=lambda k: (kept[k] is not best[0], *rows[k].rank))
     stages = [stage for each in sorted(searches, key=attrgetter("number")) for stage in each.stages]
     pairs = [(one[0], before) for one, before in zip(tried, searches, strict=False)]
     for after, before in sorted(pairs, key=lambda pair: pair[0] is best[0]):
         stages += after.stages[len(before.stages) :]
-    return best[0]._replace(stages=tuple(stages)), best[1], (rows[first], *others)
+    return best[0]._replace(stages=tuple(stages)), best[1], tuple(rows[k] for k in order)
 
 
 def _local_optimum(search: SearchState, accurate: bool | None) -> LocalOptimum:
@@ -350,7 +355,8 @@ def _solve_in_stages(
     """Solve the program; if slip is a cost, start from the solution without this cost."""
     slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
     words = f"{of}without slip cost" if slips else f"{of}all costs"
-    search = _solve_stage(program, first, words, 0.0 if slips else 1.0, progress)
+    part, most = (0.0, MAX_FIRST_ITERATIONS) if slips else (1.0, MAX_ITERATIONS)
+    search = _solve_stage(program, first, words, part, progress, None, most)
     best = search.found
     # a motion that meets all constraints is enough to start from
     is_met = largest_violation(program, best.rows) <= VIOLATION_TOLERANCE
@@ -399,9 +405,9 @@ def _solve_stage(
     part: float,
     progress: PlanProgress | None,
     warm: NlpSolution | None = None,
+    most: int = MAX_ITERATIONS,
 ) -> SearchState:
     on_iterate = None if progress is None else lambda iterate: progress(words, iterate)
-    most = MAX_ITERATIONS if part else MAX_FIRST_ITERATIONS
     solution = solve_program(
         program,
         cost_weights(program, part),
@@ -448,11 +454,12 @@ def _solve_anew(
     progress: PlanProgress | None,
     *,
     near: bool = False,
+    most: int = MAX_ITERATIONS,
 ) -> SearchState:
     """Solve another program from a solution, which is ``near`` if the whole mesh is finer."""
     first = transfer_motion(motion_of(search.program, search.found.unknowns), program)
     warm = _warm_guess(program, first)._replace(iterations=int(near))
-    more = _solve_stage(program, first, words, 1.0, progress, warm)
+    more = _solve_stage(program, first, words, 1.0, progress, warm, most)
     return more._replace(stages=search.stages + more.stages, name=search.name, number=search.number)
 
 
@@ -504,7 +511,8 @@ def _refine(
         mesh = refine_mesh(search.program.mesh, verification.worse)
         words = f"{mesh.ends.size - 1} intervals"
         program = transcribe(search.program.task, mesh, search.program.options)
-        finer = _add_limits(_solve_anew(search, program, words, progress), progress)
+        finer = _solve_anew(search, program, words, progress, most=MAX_REFINED_ITERATIONS)
+        finer = _add_limits(finer, progress)
         if not finer.found.success:
             return search._replace(stages=finer.stages), verification
         search, verification = finer, verify(finer)
@@ -517,6 +525,60 @@ def _refine(
             best, verification = solved[errors.index(min(errors))]
             return best._replace(stages=search.stages), verification
     return search, verification
+
+
+def _simulated_plan(
+    search: SearchState,
+    verification: Verification,
+    verify: Callable[[SearchState], Verification],
+    accuracy: float,
+    progress: PlanProgress | None,
+) -> tuple[SearchState, Verification]:
+    """Return a plan that misses its simulation as that simulation, and its verification.
+
+    A vehicle without suspension tips onto other wheels within some tenths of a second. A finer mesh
+    does not help: its plan tips where the mesh is still coarse, at a speed that the model does not
+    have. The goal of the plan is moved by the miss of its simulation, until the simulation reaches
+    the goal; polynomials on a mesh that follows it are the plan. Its cost may not be minimal. The
+    arguments are returned if this fails.
+    """
+    asked, now, shown = search.program.task, search, verification
+    for _ in range(MAX_CORRECTIONS):
+        ended = now.stages[-1].status in ENDED_STATUSES
+        if shown.accurate or ended or not (now.found.success and shown.misses):
+            return search._replace(stages=now.stages), verification
+        if all(np.abs(miss).max(initial=0.0) <= accuracy for miss in shown.misses):
+            break
+        moved = tuple(
+            condition._replace(
+                limits=tuple(
+                    limit._replace(lower=limit.lower - size, upper=limit.upper - size)
+                    for limit, size in zip(condition.limits, miss.tolist(), strict=True)
+                )
+            )
+            for condition, miss in zip(now.program.task.conditions, shown.misses, strict=True)
+        )
+        task = replace(asked, conditions=moved)
+        program = transcribe(task, now.program.mesh, now.program.options)
+        now = _solve_anew(now, program, "moved goal", progress, near=True)
+        shown = verify(now._replace(program=replace(program, task=asked)))
+    else:
+        return search._replace(stages=now.stages), verification
+    for _ in range(MAX_CORRECTIONS):
+        run = shown.replay
+        states = asked.dae.rows("x", run)
+        mesh = mesh_along(now.program.mesh, run.t / run.t[-1], states, accuracy / 2)
+        program = transcribe(asked, mesh, now.program.options)
+        first = completed(program, guess_unknowns(program, run))
+        cost = float(program.gradient(first / program.scale, cost_weights(program, 1.0))[0])
+        found = _warm_guess(program, first)._replace(cost=cost, status=SIMULATED_STATUS)
+        now = now._replace(program=program, found=found, run=None)
+        shown = verify(now)
+        if shown.accurate:
+            no_time = {"total": 0.0, "functions": 0.0}
+            stage = SolvedStage("simulation", 0, SIMULATED_STATUS, no_time, cost)
+            return now._replace(stages=(*now.stages, stage)), shown
+    return search._replace(stages=now.stages), verification
 
 
 def cost_terms(program: Program, unknowns: Array) -> dict[str, float]:

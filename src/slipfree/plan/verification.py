@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -24,16 +23,16 @@ from slipfree.plan.constraints import (
 )
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
-from slipfree.solve.sampling import TURN, same_turn
+from slipfree.solve.sampling import same_turn
 from slipfree.solve.simulate import simulate
 from slipfree.solve.system import MIN_TOLERANCE, SolverOptions
 
+Key = TypeVar("Key")
 GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 LIMIT_WIDTH_FRACTION = 0.01  # largest tolerance of a limit, relative to its range
 REFINED_FRACTION = 0.25  # neighbours with this fraction of a violation are also refined
 VERIFICATION_TOLERANCE = 0.003  # of the states in the simulation, relative to the options
 POSITION_UNITS = ("m", "rad", "1")  # of states that a simulation with another model must reproduce
-SWUNG = 0.05  # largest difference at the end of the swing of a caster to either side [rad]
 MIN_INTERVAL_SAMPLES = 8  # samples per interval, denser near its ends
 
 
@@ -55,14 +54,19 @@ class Verification(NamedTuple):
     accurate : bool
         Whether states, limits, way-points and goal are within the accuracy and the simulation
         reaches the end of the plan.
+    misses : tuple of ndarray
+        Excess of the simulation over each limit of each way-point and of the goal, in its unit:
+        positive above the upper bound, negative below the lower one, otherwise zero. Empty if the
+        simulation ends early, violates another limit, or is one with another model.
     """
 
     replay: Trajectory
     difference: dict[str, float]
     violation: dict[str, float]
     units: dict[str, str]
-    worse: Mask
-    accurate: bool
+    worse: Mask = np.zeros(0, dtype=bool)
+    accurate: bool = False
+    misses: tuple[Array, ...] = ()
 
 
 def verify_plan(
@@ -83,15 +87,17 @@ def verify_plan(
     replay = simulate_plan(model, start, motion, step=step, options=precise, states_only=True)
     fractions = np.minimum(replay.t / motion.duration, 1.0)
     planned, states = motion.states(fractions), list(leaves(dae.labels.x))
-    x, gaps = _compare(model.rows("x", replay), planned, task.periodic, accuracy)
-    over = _excess(task, limits, replay, x)
-    judged = [("", limits, over)]
+    x = same_turn(model.rows("x", replay), planned, task.periodic)
+    gaps = x - planned
+    over = np.abs(_excess(task, limits, replay, x))
+    judged, misses = [("", limits, over)], list[Array]()
     for fraction, asked in task.conditions:
         k = int(np.abs(fractions - fraction).argmin())
         one, own = slice(k, k + 1), np.zeros((len(asked), 1))
         if abs(fractions[k] - fraction) <= 1e-6:  # the simulation reaches it
             own = _excess(task, asked, replay.part(one), x[:, one])
-        judged.append((f" at the {role_of(fraction)}", asked, own))
+        misses.append(own[:, 0])
+        judged.append((f" at the {role_of(fraction)}", asked, np.abs(own)))
     units, violation = {label.full: label.unit for label in states}, dict[str, float]()
     for suffix, asked, own in judged:
         for limit, most in zip(asked, own.max(axis=1).tolist(), strict=True):
@@ -101,6 +107,8 @@ def verify_plan(
                 violation[name] = max(violation.get(name, 0.0), most)
     ends, count = program.mesh.ends, program.mesh.ends.size - 1
     where = np.clip(np.searchsorted(ends, fractions - FRACTION_TOLERANCE) - 1, 0, count - 1)
+    allowed = tolerated_excess(limits, accuracy)[:, None]
+    exceeds = bool((over > allowed).any())
     if other is not None:
         # Speeds differ by vibrations that the planned model omits; they are only reported.
         placed = gaps[[label.unit in POSITION_UNITS for label in states]]
@@ -108,8 +116,7 @@ def verify_plan(
         met = bool(np.abs(placed).max() <= accuracy)
     else:
         worse = _error_sources(gaps, where, accuracy, count)
-        allowed = tolerated_excess(limits, accuracy)[:, None]
-        if (over > allowed).any():  # refinement moves violations to neighbours
+        if exceeds:  # refinement moves violations to neighbours
             worse[where[(over > allowed * REFINED_FRACTION).any(axis=0)]] = True
         if replay.stop is not None:
             # A finer mesh helps only if the simulation ended at a limit that the program contains.
@@ -126,25 +133,8 @@ def verify_plan(
         units,
         worse,
         met and replay.stop is None,
+        () if exceeds or other or replay.stop else tuple(misses),
     )
-
-
-def _compare(x: Array, planned: Array, periodic: Mask, accuracy: float) -> tuple[Array, Array]:
-    """Return simulated states within half a turn of the planned ones, and their differences.
-
-    A caster that is driven backwards is unstable: by rounding alone it swings to the left in the
-    plan and to the right in the simulation, on any mesh, and arrives at the same position a turn
-    apart. The difference during such a swing is no error; it counts as zero.
-    """
-    near = same_turn(x, planned, periodic)
-    gaps, last = near - planned, x.shape[1] - 1
-    for k in np.flatnonzero(periodic):
-        turns = np.round((x[k] - near[k]) / TURN)
-        inside = np.flatnonzero(np.abs(gaps[k]) <= accuracy)
-        for before, after in pairwise([*inside, last]):
-            if turns[before] != turns[after] and abs(gaps[k, after]) <= SWUNG:
-                gaps[k, before + 1 : after + 1] = 0.0
-    return near, gaps
 
 
 def largest_error(program: Program, verification: Verification) -> float:
@@ -157,6 +147,14 @@ def largest_error(program: Program, verification: Verification) -> float:
     )
     violations = verification.violation.values() if is_same else ()
     return max((*differences, *violations), default=0.0)
+
+
+def largest(sizes: Iterable[tuple[Key, float]]) -> dict[Key, float]:
+    """Return the largest of the sizes with each key."""
+    most = dict[Key, float]()
+    for key, size in sizes:
+        most[key] = max(size, most.get(key, -np.inf))
+    return most
 
 
 def limit_name(limit: Limit) -> str:
@@ -173,7 +171,7 @@ def tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
 
 
 def _excess(task: PlanTask, limits: Sequence[Limit], run: Trajectory, x: Array) -> Array:
-    """Return violations of limits in a simulation with n states x, shape (n_limits, n).
+    """Return the excess over limits of a simulation with n states x, shape (n_limits, n).
 
     In a simulation with another model, a limit on unknowns of the planned model applies to the
     quantity of the same name, if any.
@@ -187,14 +185,17 @@ def _excess(task: PlanTask, limits: Sequence[Limit], run: Trajectory, x: Array) 
             label = constraint(task, limit, "").label
             shift = shift_of(task, limit.expression) - dae.reported.get(label.full, 0.0)
             row[:] = run.of(label) - shift if label.name in run.columns else np.nan
-    return np.fmax(_beyond(limits, values), 0.0)
+    return np.nan_to_num(_beyond(limits, values))
 
 
 def _beyond(limits: Sequence[Limit], values: Array) -> Array:
-    """Return how far limited quantities are beyond their limits, shape (n_limits, n)."""
+    """Return how far limited quantities are beyond their limits, shape (n_limits, n).
+
+    The excess is positive above the upper bound, negative below the lower one, otherwise zero.
+    """
     low = np.array([limit.lower for limit in limits]).reshape(-1, 1)
     high = np.array([limit.upper for limit in limits]).reshape(-1, 1)
-    return np.asarray(np.maximum(low - values, values - high))
+    return np.asarray(values - np.clip(values, low, high))
 
 
 def obstacle_words(task: PlanTask, run: Trajectory, accuracy: float) -> str:
@@ -204,7 +205,7 @@ def obstacle_words(task: PlanTask, run: Trajectory, accuracy: float) -> str:
     """
     if not task.limits:
         return ""
-    over = _excess(task, task.limits, run, task.dae.rows("x", run))
+    over = np.abs(_excess(task, task.limits, run, task.dae.rows("x", run)))
     ratio = over / tolerated_excess(task.limits, accuracy)[:, None]
     i, k = np.unravel_index(np.argmax(ratio), ratio.shape)
     if not ratio[i, k] > 1:
@@ -233,7 +234,7 @@ def exceeds_between(program: Program, motion: PolynomialMotion, limits: Sequence
     z = np.zeros((dae.scale.size, at.size))
     z[: len(planned)] = planned
     samples = at * motion.duration, motion.states(at), z, motion.inputs(at)
-    over = _beyond(limits, limit_values(dae, limits, samples)) > VIOLATION_TOLERANCE
+    over = np.abs(_beyond(limits, limit_values(dae, limits, samples))) > VIOLATION_TOLERANCE
     return np.asarray(over.any(axis=0).reshape(ends.size - 1, -1).any(axis=1))
 
 

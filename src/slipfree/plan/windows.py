@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -34,7 +34,7 @@ from slipfree.plan.polynomial_motion import (
 )
 from slipfree.plan.search import PlanProgress, Search, SolvedStage, cost_terms
 from slipfree.plan.transcription import Mesh, PlanTask, TimedCondition, transcribe
-from slipfree.plan.verification import GUESS_TOLERANCE, simulate_plan, simulate_to_failure
+from slipfree.plan.verification import GUESS_TOLERANCE, largest, simulate_plan, simulate_to_failure
 from slipfree.solve.system import SolverOptions
 from slipfree.system.forks import computing
 
@@ -302,8 +302,8 @@ def _join(
     return LongPlan(
         motion,
         replace(replay, stop=stop),
-        _largest(each.difference for each in plans),
-        _largest(part.violation for part in parts),
+        largest(pair for each in plans for pair in each.difference.items()),
+        largest(pair for part in parts for pair in part.violation.items()),
         {name: unit for each in plans for name, unit in each.units.items()},
         {name: sum(each[name] for each in costs) for name in (costs[0] if costs else ())},
         stop is None,
@@ -313,10 +313,3 @@ def _join(
         windows,
         parts[-1].planned is not None and parts[-1].planned.compiled,
     )
-
-
-def _largest(sizes: Iterable[Mapping[str, float]]) -> dict[str, float]:
-    largest: dict[str, float] = {}
-    for each in sizes:
-        largest |= {name: max(size, largest.get(name, 0.0)) for name, size in each.items()}
-    return largest

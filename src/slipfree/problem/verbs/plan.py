@@ -35,6 +35,7 @@ from slipfree.models.kinematics import direct_kinematics, quasi_statics
 from slipfree.plan.constraints import COST, DURATION, missed_words
 from slipfree.plan.guess import settled_start
 from slipfree.plan.ipopt import (
+    SIMULATED_STATUS,
     SOLVED_STATUS,
     STOPPED_STATUS,
     TIME_STATUS,
@@ -72,14 +73,17 @@ DIFFERENCE, VIOLATION, PLAN_COST = "plan_difference_", "plan_violation_", "plan_
 ROUNDING = 1e-6  # smaller violations count as rounding, in the unit of the limit
 SLIDING = 0.95  # wheels with a larger utilisation count as sliding
 UNUSABLE = Outcome.INACCURATE, Outcome.LIMIT  # outcomes of solved plans that cannot be driven
-TIME_LIMITED = "the search ended early; the plan meets all constraints, its cost may not be least"
+NOT_LEAST = {  # by the status of a stage of plans whose cost may not be minimal
+    TIME_STATUS: "the search ended early",
+    SIMULATED_STATUS: "on no mesh did a plan agree with its simulation: this plan is a simulation",
+}
 ROWS = rows(
     """\
 *iterate: {iterate}
-*!time limit: {plan_time_limit}
+*!cost: may not be least: {plan_not_least}; the plan meets all constraints
 plan: {plan_iterations:.0f} iterations, {plan_seconds:.3g}, of which \
 {plan_seconds_functions:.3g} in functions; <plan_cost_*> {name} {fact:.6g}
-*whole turns: <whole_turns> {fact}
+*whole turns: <plan_turns> {fact}
 windows: {windows}
 starts: {plan_optima:.0f} local optima from {start_count} starts
   {start}: <plan_starts> {outcome}, cost {cost:.6g}, duration {duration:.4g} s, path up to \
@@ -124,7 +128,8 @@ prices of limits: {prices}
 def facts_of(plan: Plan | LongPlan, setup: plan_setup.Planning) -> dict[str, Fact]:
     """Return the facts of a plan: iterations, times, costs, differences and violations."""
     times = [stage.seconds for stage in plan.stages]
-    is_limited = plan.accurate and any(stage.status == TIME_STATUS for stage in plan.stages)
+    ended = {stage.status for stage in plan.stages} if plan.accurate else set[str]()
+    reasons = [why for status, why in NOT_LEAST.items() if status in ended]
     differences = dict[str, Fact]()
     for name, size in plan.difference.items():
         key = DIFFERENCE + name.partition("[")[0]  # the largest of the wheels
@@ -147,30 +152,27 @@ def facts_of(plan: Plan | LongPlan, setup: plan_setup.Planning) -> dict[str, Fac
         "plan_intervals": Fact(plan.motion.mesh.ends.size - 1, "1"),
         "plan_searches": Fact([stage.words for stage in plan.stages]),
         **_turns(setup, plan),
-        **({"plan_time_limit": Fact(TIME_LIMITED)} if is_limited else {}),
+        **({"plan_not_least": Fact(reasons[-1])} if reasons else {}),
     }
 
 
 def _turns(setup: plan_setup.Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
-    """Return a table of angles that differ by whole turns from the goal or the plan."""
-    rows = list[dict[str, Any]]()
+    """Return sentences about angles that differ by whole turns from the goal."""
+    sentences = list[str]()
     end = plan.motion.states(np.ones(1))[:, 0] + setup.dae.shift[0] if plan.success else ()
     for label, value in zip(leaves(setup.dae.labels.x), end, strict=False):
-        if label.unit != "rad":
-            continue
         name = label.full
-        apart = round((float(plan.replay.of(label)[-1]) - value) / TURN)
-        if apart and plan.accurate:
-            rows.append({"angle": name, "turns": apart, "than": "plan"})
         low, high = setup.spec.goal.get(name, (-np.inf, np.inf))
         reached = float(value) + setup.dae.reported.get(name, 0.0)
         turns = round((reached - (low + high) / 2) / TURN) if high - low < TURN else 0
-        if turns and not low - np.pi < reached < high + np.pi:
-            goal = spelled((low, high), "rad")
-            rows.append(
-                {"angle": name, "turns": turns, "than": "goal", "end": reached, "goal": goal}
+        if label.unit == "rad" and turns and not low - np.pi < reached < high + np.pi:
+            count = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
+            sentences.append(
+                f"{name} is {Fact(reached):.6g>deg} at the end, {count} "
+                f"{'more' if turns > 0 else 'less'} than {spelled((low, high), 'rad')}: the same "
+                "position, reached the short way"
             )
-    return {"plan_turns": Fact(rows)} if rows else {}
+    return {"plan_turns": Fact(sentences)} if sentences else {}
 
 
 def optimality_facts(plan: Plan) -> dict[str, Fact]:
@@ -213,28 +215,11 @@ def described(run: Trajectory) -> dict[str, Fact]:
     if "plan_curvature" in facts:
         checked = Optimality(*(facts[f"plan_{name}"].value for name in Optimality._fields))
         texts |= {"optimality": checked.words, "prices": prices_words(facts["plan_prices"].value)}
-    turns = facts["plan_turns"].value if "plan_turns" in facts else []
     return {
         **{name: Fact(text) for name, text in texts.items()},
-        "whole_turns": Fact([_turn_words(row) for row in turns]),
         "plan_violation": Fact(violation),
         "within_limits": Fact(float(is_kept), "1"),
     }
-
-
-def _turn_words(row: Mapping[str, Any]) -> str:
-    turns = row["turns"]
-    count = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
-    more = f"{count} {'more' if turns > 0 else 'less'}"
-    if row["than"] == "plan":
-        return (
-            f"{row['angle']} ends {more} in the simulation than in the plan: the same position, "
-            "after a swing to the other side"
-        )
-    return (
-        f"{row['angle']} is {Fact(row['end']):.6g>deg} at the end, {more} than {row['goal']}: the "
-        "same position, reached the short way"
-    )
 
 
 def _simulated_words(facts: Facts, *, is_solved: bool) -> str:
@@ -658,11 +643,8 @@ def _inaccurate(setup: plan_setup.Planning, plan: Plan | LongPlan) -> trajectory
     missed = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
     worst = missed_words(missed, plan.units) or "a narrow limit"
     last = plan.stages[-1]
-    further = "a finer mesh does not help; raise plan.accuracy"
-    if last.words.endswith("intervals"):
-        further = "refinements of its mesh did not suffice; raise plan.accuracy"
     why = {
-        SOLVED_STATUS: further,
+        SOLVED_STATUS: "refinements of its mesh did not suffice; raise plan.accuracy",
         STOPPED_STATUS: "the refinement of its mesh was stopped",
         TIME_STATUS: "the time limit ended the refinement of its mesh; raise plan.seconds",
     }.get(
