@@ -317,8 +317,9 @@ def _iterated(
 
     unknowns = start
     for k in range(window.steps + MORE_STEPS * bool(window.steps)):
-        step = window.solver.step(unknowns, p, bounds, row_bounds, multipliers)
-        if step is None:
+        try:
+            step = window.solver.step(unknowns, p, bounds, row_bounds, multipliers)
+        except np.linalg.LinAlgError:
             break
         unknowns, multipliers = unknowns + step.change, step.multipliers
         is_last = k >= window.steps - 1 or np.abs(step.change).max() < CONVERGED_STEP

@@ -10,20 +10,24 @@ converge as Newton's method does.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.linalg import LinAlgError
 from scipy import sparse
+from scipy.linalg import solve_banded
 
 from slipfree.core.lookups import evaluate, run_buffered
 from slipfree.core.records import Array, Mask
 from slipfree.plan.transcription import Index, Program, bounded_rates
 
 Bounds = tuple[Array, Array]
-MAX_ACTIVE_SETS = 50  # of a quadratic program
+BOUND_TOLERANCE = 1e-8  # of scaled unknowns and of rows in a quadratic program
 QP_OPTIONS = {
     "error_on_fail": False,
+    "max_iter": 50,  # active sets
     **dict.fromkeys(("print_time", "print_iter", "print_header", "print_info"), False),
 }
 
@@ -33,6 +37,72 @@ class Step(NamedTuple):
 
     change: Array  # shape (n_w,): change of the scaled unknowns
     multipliers: Array  # shape (n_g,): multipliers of the rows after the step
+
+
+class StageProgramSolver:
+    """Solver of quadratic programs for the states and inputs at the ends of n intervals (nodes).
+
+    The arguments are indices: ``nodes``, shape (n + 1, n_x + n_u), of the unknowns of the nodes,
+    ``stages``, shape (n, n_q), of those of the stages, and ``rows``, shape (n, n_own), of the rows
+    of the stages, of which the first n_x are equations for the states that follow.
+    """
+
+    def __init__(self, nodes: Index, stages: Index, rows: Index, n_x: int) -> None:
+        n, n_own, n_nodes = *rows.shape, nodes.shape[1]
+        follow = rows[:, :n_x], nodes[1:, :n_x]
+        in_a = np.hstack([_pairs(rows[:, :, None], stages[:, None]), _pairs(*follow)])
+        in_h = _pairs(stages[:, :, None], stages[:, None])
+        a, self._in_a = _pattern(in_a, (rows.size, nodes.size))
+        h, self._in_h = _pattern(in_h, (nodes.size, nodes.size))
+        self._solver = ca.conic("step", "qrqp", {"h": h, "a": a}, QP_OPTIONS)
+        self._pairs, self._n_rows, size = in_a, rows.size, rows.size + nodes.size
+        # Ordered by time, conditions of optimality have a narrow band of coefficients.
+        begins = (n_nodes + n_own) * np.arange(n + 1)[:, None]
+        at_rows, at_nodes = begins[:-1] + n_nodes + np.arange(n_own), begins + np.arange(n_nodes)
+        self._places = np.concatenate([at_rows.ravel(), at_nodes.ravel()])
+        below = np.stack([in_a[0], in_a[1] + rows.size])
+        of, to = np.hstack([below, below[::-1], in_h + rows.size, [np.arange(size)] * 2])
+        self._of, self._is_diagonal = of, np.arange(of.size) >= of.size - size
+        apart = self._places[of] - self._places[to]
+        self._width = int(np.abs(apart).max())
+        self._in_band = (self._width + apart) * size + self._places[to]
+
+    def solve(
+        self, h: Array, gradient: Array, entries: Array, least: Array, most: Array
+    ) -> tuple[Array, Array]:
+        """Return unknowns and multipliers of the rows, or raise LinAlgError.
+
+        ``h``, shape (n, n_q, n_q), are Hessians of the stages, and ``entries`` coefficients of the
+        rows in the unknowns of their stages, then in the states that follow; ``least`` and ``most``
+        are bounds of rows, then of unknowns.
+        """
+        size = self._places.size
+        # First without bounds, so that multipliers of rows that are not equations are zero.
+        is_equal = least == most
+        is_given = np.append(~is_equal[: self._n_rows], is_equal[self._n_rows :])
+        values = np.concatenate([entries, entries, h.ravel(), np.ones(size)])
+        values *= is_given[self._of] == self._is_diagonal
+        band = np.bincount(self._in_band, values, (2 * self._width + 1) * size).reshape(-1, size)
+        right, free = np.empty(size), np.append(np.zeros(self._n_rows), -gradient)
+        right[self._places] = np.where(is_equal, least, free)
+        found = solve_banded((self._width, self._width), band, right, check_finite=False)
+        prices, solution = np.split(found[self._places], [self._n_rows])
+        values = np.append(
+            np.bincount(self._pairs[0], entries * solution[self._pairs[1]]), solution
+        )
+        if np.maximum(least - values, values - most).max() < BOUND_TOLERANCE:
+            return solution, prices
+        # Where limits are active, the solver needs stages that are convex.
+        curvatures, vectors = np.linalg.eigh(h)
+        h = vectors * np.maximum(curvatures, 0.0)[:, None] @ np.swapaxes(vectors, 1, 2)
+        matrices = np.bincount(self._in_h, h.ravel()), np.bincount(self._in_a, entries)
+        (low, lower), (high, upper) = (np.split(side, [self._n_rows]) for side in (least, most))
+        given = matrices[0], gradient, matrices[1], low, high, lower, upper
+        columns = {k: np.asarray(each, dtype=float)[:, None] for k, each in enumerate(given)}
+        buffer = run_buffered(self._solver, columns, {0: solution, 2: prices})
+        if not buffer.stats()["success"]:
+            raise LinAlgError("the quadratic program is not solved")
+        return solution, prices
 
 
 class StepSolver:
@@ -67,8 +137,17 @@ class StepSolver:
         self._bounded = n_q + np.flatnonzero(bounded.any(axis=0))
         jacobian, hessian = program.jacobian.sparsity_out(1), program.hessian.sparsity_out(0)
         columns = np.concatenate([later, np.repeat(outer[:, None], degree, axis=1)], axis=2)
-        self._of_equations = _entries(jacobian, equations[..., None], columns[:, :, None])
+        of_equations = _entries(jacobian, equations[..., None], columns[:, :, None])
+        # The last column is for the residuals.
+        of_equations = np.append(of_equations, jacobian.nnz() + 1 + equations[..., None], axis=3)
+        self._shape, self._where = of_equations.shape, np.flatnonzero(of_equations)
+        self._of_equations = of_equations.ravel()[self._where]
         self._of_others = _entries(jacobian, others[..., None], own[:, None])
+        # Blocks of equations of a point determine their own unknowns one after the other.
+        size = later.shape[2]
+        is_full: Mask = np.asarray(of_equations[:, :, n_x:, :size].any(axis=(0, 1)))
+        ends = {*np.cumsum([0, *map(len, program.task.dae.labels.alg)]).tolist(), size}
+        self._ends = sorted(k for k in ends if k <= size and not is_full[:k, k:].any())
         # Unknowns and pairs of unknowns count on the first interval that contains them.
         self._counts = _first_occurrences(own)
         pairs = np.broadcast_arrays(own[:, :, None], own[:, None])
@@ -77,26 +156,16 @@ class StepSolver:
         interval, left, right = entries.nonzero()
         places = own.shape[1] * interval + left, own.shape[1] * interval + right
         self._hessian = sparse.csr_array((entries[entries > 0], places), (own.size, own.size))
+        self._of_hessian = self._hessian.data - 1
         nodes = np.arange((n + 1) * (n_x + n_u)).reshape(n + 1, -1)
         self._nodes, self._stages = nodes, np.hstack([nodes[:-1], nodes[1:, n_x:]])
-        count = n_x + self._bounded.size + others.shape[1]
-        conditions = np.arange(n * count).reshape(n, -1)
-        blocks = [
-            (conditions[:, :, None], self._stages[:, None]),
-            (conditions[:, :n_x], nodes[1:, :n_x]),
-        ]
-        a, self._in_a = _pattern(blocks, (conditions.size, nodes.size))
-        blocks = [(self._stages[:, :, None], self._stages[:, None])]
-        h, self._in_h = _pattern(blocks, (nodes.size, nodes.size))
-        self._solvers = [
-            ca.conic("step", "qrqp", {"h": h, "a": a}, QP_OPTIONS | {"max_iter": most})
-            for most in (1, MAX_ACTIVE_SETS)
-        ]
+        conditions = np.arange(n * (n_x + self._bounded.size + others.shape[1])).reshape(n, -1)
+        self._solver = StageProgramSolver(nodes, self._stages, conditions, n_x)
 
     def step(
         self, w: Array, p: Array, bounds: Bounds, row_bounds: Bounds, multipliers: Array
-    ) -> Step | None:
-        """Return the step from scaled unknowns, or None if the quadratic program is not solved.
+    ) -> Step:
+        """Return the step from scaled unknowns.
 
         Parameters
         ----------
@@ -111,6 +180,11 @@ class StepSolver:
             Smallest and largest values of the rows.
         multipliers : ndarray, shape (n_g,)
             Multipliers of the rows, for the Hessian.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the program has no finite derivatives, or the quadratic program is not solved.
         """
         program, own, (n_x, n_u) = self._program, self._own, self._sizes
         at, n, n_q = (w[:, None], p[:, None]), len(own), n_x + 2 * n_u
@@ -118,25 +192,20 @@ class StepSolver:
         gradient = evaluate(program.gradient, *at)[1].ravel()
         of_hessian = np.ones((1, 1)), multipliers[:, None]
         second = evaluate(program.hessian, *at, *of_hessian)[0].ravel()
-        if not all(np.isfinite(each).all() for each in (g, jacobian, gradient, second)):
-            return None
-        jacobian, structure = np.append(0.0, jacobian), self._hessian
-        second = second[structure.data - 1]
-        hessian = sparse.csr_array((second, structure.indices, structure.indptr), structure.shape)
+        if not np.isfinite(sum(each.sum() for each in (g, jacobian, gradient, second))):
+            raise LinAlgError("the derivatives are not finite")
+        jacobian, hessian = np.append(0.0, jacobian), self._hessian
+        hessian.data = second[self._of_hessian]
         # In matrices that map the unknowns of a stage, the last column is constant.
-        residuals = g[self._equations][..., None]
-        rows = np.concatenate([jacobian[self._of_equations], residuals], axis=3)
+        rows = np.zeros(self._shape)
+        rows.ravel()[self._where] = np.append(jacobian, g)[self._of_equations]
         motion, points = rows[:, :, :n_x], rows[:, :, n_x:]
         n_v = points.shape[2]
-        try:
-            of_points = np.linalg.inv(points[..., :n_v])
-            later = -of_points @ points[..., n_v:]
-            from_points = motion[..., :n_v]
-            motion = motion[..., n_v:] + from_points @ later
-            motion = motion.reshape(n, -1, motion.shape[3])
-            of_motion = np.linalg.inv(motion[:, :, n_q:-1])
-        except np.linalg.LinAlgError:
-            return None
+        of_points = inverse_by_blocks(points[..., :n_v], self._ends)
+        later = -of_points @ points[..., n_v:]
+        from_points = motion[..., :n_v]
+        motion = (motion[..., n_v:] + from_points @ later).reshape(n, -1, later.shape[3])
+        of_motion = np.linalg.inv(motion[:, :, n_q:-1])
         states = -of_motion @ np.delete(motion, np.s_[n_q:-1], axis=2)
         same = np.tile(np.eye(n_q + 1), (n, 1, 1))
         outer = np.concatenate([same[:, :-1], states, same[:, -1:]], axis=1)
@@ -158,25 +227,10 @@ class StepSolver:
             of_rows = np.hstack([np.zeros((n, n_x)), *limits]) - conditions[..., n_q]
             of_unknowns = np.full(self._nodes.shape, none)
             of_unknowns[0, :n_x], of_unknowns[:, n_x:] = apart[own[0, :n_x]], apart[self._inputs]
-            sides.append((of_rows.ravel(), of_unknowns.ravel()))
-        (low, least), (high, most) = sides
+            sides.append(np.append(of_rows, of_unknowns))
         entries = np.append(conditions[..., :n_q], np.full(n * n_x, -1.0))
-        linear = np.bincount(self._stages.ravel(), slope.ravel(), least.size)
-        solution, prices = np.empty(least.size), np.empty(low.size)
-
-        quadratic = curvature[..., :n_q]
-        for solver in self._solvers:
-            matrices = np.bincount(self._in_h, quadratic.ravel()), np.bincount(self._in_a, entries)
-            given = matrices[0], linear, matrices[1], low, high, least, most
-            columns = {k: each[:, None] for k, each in enumerate(given)}
-            buffer = run_buffered(solver, columns, {0: solution, 2: prices})
-            if buffer.stats()["success"]:
-                break
-            # Where limits are active, the solver needs stages that are convex.
-            values, vectors = np.linalg.eigh(quadratic)
-            quadratic = vectors * np.maximum(values, 0.0)[:, None] @ np.swapaxes(vectors, 1, 2)
-        else:
-            return None
+        linear = np.asarray(np.bincount(self._stages.ravel(), slope.ravel()), dtype=float)
+        solution, prices = self._solver.solve(curvature[..., :n_q], linear, entries, *sides)
         stages = np.column_stack([solution[self._stages], np.ones(n)])
         steps = (whole @ stages[..., None])[..., 0]
         change, found = np.zeros(w.size + 1), np.zeros(g.size + 1)
@@ -217,12 +271,25 @@ def _first_occurrences(values: Index) -> Mask:
     return first.reshape(values.shape)
 
 
-def _pattern(
-    blocks: list[tuple[Index, Index]], shape: tuple[int, int]
-) -> tuple[ca.Sparsity, Index]:
-    """Return the sparsity of a sum of dense blocks, and the number of each entry's nonzero."""
-    pairs = [np.broadcast_arrays(*block) for block in blocks]
-    rows, columns = (np.concatenate([each[k].ravel() for each in pairs]) for k in range(2))
-    keys, numbers = np.unique(columns * shape[0] + rows, return_inverse=True)
+def _pairs(rows: Index, columns: Index) -> Index:
+    """Return the pairs of indices that are broadcast together, shape (2, n)."""
+    return np.stack(np.broadcast_arrays(rows, columns)).reshape(2, -1)
+
+
+def _pattern(pairs: Index, shape: tuple[int, int]) -> tuple[ca.Sparsity, Index]:
+    """Return the sparsity of a matrix that sums entries, and the number of each one's nonzero."""
+    keys, numbers = np.unique(pairs[1] * shape[0] + pairs[0], return_inverse=True)
     places = (keys % shape[0]).tolist(), (keys // shape[0]).tolist()
     return ca.Sparsity.triplet(*shape, *places), numbers
+
+
+def inverse_by_blocks(matrices: Array, ends: list[int]) -> Array:
+    """Return inverses of matrices, shape (..., m, m), whose blocks above the diagonal are zero.
+
+    ``ends`` are the ends of the blocks, from 0 to m.
+    """
+    found = np.zeros(matrices.shape)
+    for a, b in pairwise(ends):
+        own = found[..., a:b, a:b] = np.linalg.inv(matrices[..., a:b, a:b])
+        found[..., a:b, :a] = -own @ (matrices[..., a:b, :a] @ found[..., :a, :a])
+    return found
