@@ -186,8 +186,8 @@ class Atlas(Drawable):
         """
         values = self[name]
         empty = np.isnan(values).all(axis=0)
-        filled = np.where(np.isnan(values), -np.inf if largest else np.inf, values)
-        index = filled.argmax(axis=0) if largest else filled.argmin(axis=0)
+        signed = values if largest else -values
+        index = np.where(np.isnan(values), -np.inf, signed).argmax(axis=0)
         chosen = np.take_along_axis(values, index[None], axis=0)[0]
         return chosen, np.where(empty, np.nan, self.heading[index])
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import repeat
 from typing import Any
 
 import casadi as ca
@@ -29,21 +31,13 @@ class ModelVariable:
 
 def variables(dae: Dae) -> tuple[Any, Any, Any]:
     """Return the states, unknowns and inputs of a model as three records of `ModelVariable`."""
-    x = zip(leaves(dae.labels.x), leaves(dae.x), _entries(dae.ode), dae.shift[0], strict=True)
-    z = zip(
-        leaves(dae.labels.z),
-        leaves(dae.z),
-        _entries(dae.guess),
-        dae.scale,
-        dae.shift[1],
-        strict=True,
-    )
-    u = zip(leaves(dae.labels.u), leaves(dae.u), strict=True)
-    zero = ca.SX(0)
+    zero = repeat(ca.SX(0))
+    x = leaves(dae.labels.x), leaves(dae.x), _entries(dae.ode), zero, dae.sizes.x, dae.shift[0]
+    z = leaves(dae.labels.z), leaves(dae.z), zero, _entries(dae.guess), dae.scale, dae.shift[1]
     return (
-        unpack(dae.x, [ModelVariable(n, s, rate, zero, dae.size_of(n), o) for n, s, rate, o in x]),
-        unpack(dae.z, [ModelVariable(n, s, zero, guess, size, o) for n, s, guess, size, o in z]),
-        unpack(dae.u, [new_variable(dae, label, symbol) for label, symbol in u]),
+        unpack(dae.x, map(ModelVariable, *x)),
+        unpack(dae.z, map(ModelVariable, *z)),
+        unpack(dae.u, map(partial(new_variable, dae), leaves(dae.labels.u), leaves(dae.u))),
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from slipfree.core.errors import ModelError, SlipfreeError, read_table, require, similar
 from slipfree.core.facts import Fact, Facts
-from slipfree.core.records import Array, HtmlRepr, Label, overview, with_overview
+from slipfree.core.records import Array, HtmlRepr, Indices, Label, overview, with_overview
 
 if TYPE_CHECKING:
     import pandas
@@ -350,13 +350,13 @@ class Trajectory(Drawable):
         columns = {**self.columns, "heading": heading}
         return replace(self, columns=columns, attributes={**self.attributes, FRAME: frame})
 
-    def part(self, span: slice, stop: Stop | None = None) -> Trajectory:
+    def part(self, span: slice | Indices, stop: Stop | None = None) -> Trajectory:
         """Return a part of the trajectory.
 
         Parameters
         ----------
-        span : slice
-            Range of the samples to keep. Events within their times are kept.
+        span : slice or array of int
+            Range or indices of the samples to keep. Events within their times are kept.
         stop : Stop, optional
             Stop of the part; without it, the part is complete.
         """
@@ -525,5 +525,4 @@ def thin(run: Trajectory, count: int) -> Trajectory:
                 ends = values[known].argmin(), values[known].argmax()
                 kept |= {int(known[k]) for k in ends}
     span = np.array(sorted(kept))
-    columns = {k: Column(c.label, c.values[span]) for k, c in run.columns.items()}
-    return replace(run, t=run.t[span], columns=columns)
+    return run.part(span, run.stop)

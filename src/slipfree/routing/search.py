@@ -30,7 +30,6 @@ from slipfree.routing.traversability import (
     SLIDING,
     Point,
     Traversability,
-    axis_step,
     blocking_reasons,
     extents,
     more_friction_words,
@@ -43,6 +42,7 @@ from slipfree.routing.traversability import (
     to_edge,
     window,
 )
+from slipfree.terrain.base import axis_step
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
 

@@ -22,7 +22,7 @@ from slipfree.core.schema import Finite, Positive
 from slipfree.geometry.regions import Region
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.system.codegen_cache import compiler_limit
-from slipfree.terrain.base import Grid
+from slipfree.terrain.base import Grid, axis_step
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import hole_distance
 from slipfree.vehicle.tree import Vehicle
@@ -297,11 +297,6 @@ def interpolate_layer(layer: Array, x: Array, y: Array, new_x: Array, new_y: Arr
         low, high = np.take(layer, first, axis), np.take(layer, first + 1, axis)
         layer = low + weight * (high - low)
     return layer
-
-
-def axis_step(axis: Array) -> float:
-    """Return the step of a uniform axis [m]."""
-    return float(np.ptp(axis) / (axis.size - 1))
 
 
 def nearest_nodes(axis: Array, at: Array) -> npt.NDArray[np.intp]:

@@ -368,10 +368,7 @@ class Grid(HtmlRepr):
     @property
     def spacing(self) -> tuple[float, float]:
         """Distances between neighbouring nodes along x and along y [m]."""
-        return (
-            float(np.ptp(self.x) / (self.x.size - 1)),
-            float(np.ptp(self.y) / (self.y.size - 1)),
-        )
+        return axis_step(self.x), axis_step(self.y)
 
     @property
     def values(self) -> Array:
@@ -421,6 +418,11 @@ class Grid(HtmlRepr):
         for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
             found |= nodes[i + a, j + b]
         return found
+
+
+def axis_step(axis: Array) -> float:
+    """Return the step of a uniform axis, in its unit."""
+    return float(np.ptp(axis) / (axis.size - 1))
 
 
 def check_formula(function: Formula, owner: str, value: str) -> None:

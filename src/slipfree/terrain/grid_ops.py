@@ -16,7 +16,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array, Mask
 from slipfree.core.schema import Length
-from slipfree.terrain.base import Grid
+from slipfree.terrain.base import Grid, axis_step
 
 MAX_NODES = 5e7  # largest number of nodes of a ground; an array then takes 400 MB
 MAX_COORDINATE = 1e12  # largest absolute coordinate of a map [m] or [deg]
@@ -148,10 +148,7 @@ def _window_text(window: Window) -> str:
 
 def axes_of(x: Array, y: Array) -> tuple[UniformAxis, UniformAxis]:
     """Return the first node, step and size of two uniform axes."""
-    first, second = (
-        UniformAxis(float(axis[0]), float(np.ptp(axis)) / (axis.size - 1), axis.size)
-        for axis in (x, y)
-    )
+    first, second = (UniformAxis(float(each[0]), axis_step(each), each.size) for each in (x, y))
     return first, second
 
 
