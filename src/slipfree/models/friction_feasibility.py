@@ -142,9 +142,8 @@ def force_outputs(
     parts = q.mechanics
     wheels = list(zip(along, across, normal, parts.friction, strict=True))
     efforts = -(parts.driven.T @ q.forces.column + parts.held)
-    torques, drives = iter(ca.vertsplit(efforts) if efforts.numel() else []), []
-    for wheel in q.vehicle.wheels:
-        drives.append(next(torques) if wheel.driven else ca.SX(0))
+    torques = iter(ca.vertsplit(efforts) if efforts.numel() else [])
+    drives = [next(torques) if wheel.driven else ca.SX(0) for wheel in q.vehicle.wheels]
     rubbed = [
         a * ca.dot(touch.along, s) + c * ca.dot(touch.across, s)
         for a, c, touch, s in zip(along, across, q.contacts, q.slips, strict=True)

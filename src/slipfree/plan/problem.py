@@ -64,10 +64,7 @@ def costs_of(dae: Dae, costs: Mapping[str, float] | Sequence[Cost]) -> tuple[Cos
     """Return the terms of the cost from weights by name, or terms unchanged."""
     if not isinstance(costs, Mapping):
         return tuple(costs)
-    terms = list[Cost]()
-    for name, weight in costs.items():
-        terms.append(_cost_term(dae, name)._replace(weight=weight))
-    return tuple(terms)
+    return tuple(_cost_term(dae, name)._replace(weight=weight) for name, weight in costs.items())
 
 
 def cost_limits_of(

@@ -20,7 +20,7 @@ from slipfree.core.schema import Length
 from slipfree.core.trajectory import Outcome, SolverError, Trajectory, path_length
 from slipfree.files.netcdf import read, read_arrays, write
 from slipfree.plan import tracking
-from slipfree.plan.mpc import horizon
+from slipfree.plan.mpc import Horizon, horizon
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.plan.sampling import SamplingTask
 from slipfree.problem.build import World, build_model, build_start, build_world, solver_options
@@ -209,26 +209,7 @@ def follow_plan(
         world, driven_world = world_of(seed)
         report = partial(time, name, seed) if time else None
         try:
-            if name in ("inputs", "replan"):
-                controller: tracking.Controller = tracking.Replanning(
-                    frame, period=period, updated=name == "replan"
-                )
-            else:
-                driven = commanded(dae, speed=speed)
-                controller = tracking.Following(dae, plan.motion, speed, period=period)
-                if name == "sampling":
-                    (low, high), turn = SPEED_RANGE, TURN_RANGE * speed / driven.size
-                    task = SamplingTask(
-                        driven,
-                        {"slip": 1.0},
-                        {},
-                        window,
-                        {"forward": (low * speed, high * speed), "yaw_rate": (-turn, turn)},
-                        goal_weight=GOAL_WEIGHT,
-                        candidates=CANDIDATES,
-                        spread=SPREAD,
-                    )
-                    controller = tracking.Sampling(dae, task, plan.motion, period=period)
+            controller = controller_of(name, frame, speed, period)
         except ModelError as error:
             return Followed(name, seed, str(error))
         try:
@@ -255,6 +236,25 @@ def follow_plan(
         numbers = range(1, len(tasks) + 1)
         followed = dict(until_interrupt(run_tasks(numbers, lambda number: tasks[number - 1])))
     return TrackingTest(plan.replay, tuple(followed[k] for k in sorted(followed)), parts)
+
+
+def controller_of(name: str, frame: Horizon, speed: float, period: float) -> tracking.Controller:
+    """Return the controller of a name in `WAYS`, for the plan of a window.
+
+    The mean ``speed`` of the plan [m/s] is the size of its commands. ModelError is raised for
+    vehicles without commands.
+    """
+    dae, plan = frame.program.task.dae, frame.plan
+    if name in ("inputs", "replan"):
+        return tracking.Replanning(frame, period=period, updated=name == "replan")
+    driven = commanded(dae, speed=speed)
+    if name == "follow":
+        return tracking.Following(dae, plan, speed, period=period)
+    (low, high), turn = SPEED_RANGE, TURN_RANGE * speed / driven.size
+    ranges = {"forward": (low * speed, high * speed), "yaw_rate": (-turn, turn)}
+    task = SamplingTask(driven, {"slip": 1.0}, {}, frame.span, ranges, goal_weight=GOAL_WEIGHT)
+    task = replace(task, candidates=CANDIDATES, spread=SPREAD)
+    return tracking.Sampling(dae, task, plan, period=period)
 
 
 def _scaled(section: Section, factor: float) -> Section:
