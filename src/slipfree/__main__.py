@@ -33,7 +33,7 @@ from slipfree.system.interrupt import interrupt_arrived, interrupt_at_signals, i
 INTERRUPTED = 130  # exit code; that of `slipfree.core.trajectory`, whose import would be slow
 # Expressions are up to a million objects without cycles: Python's default of 700 new objects for
 # each search for cycles would take up to a twelfth of the time of a plan.
-OBJECTS = 10_000
+OBJECTS = 100_000
 
 
 def main() -> None:
