@@ -31,10 +31,9 @@ from slipfree.system.codegen_cache import compiled_functions
 
 Index = npt.NDArray[np.intp]
 DERIVATIVE_ORDER = 4  # of the ground height: two in the model, two more in the Hessian
-BlockFunctions = tuple[ca.Function, ca.Function, ca.Function, ca.Function, ca.Function]
+BlockFunctions = tuple[ca.Function, ca.Function, ca.Function, ca.Function]
 # results of the functions of a block, by rows and columns: unknowns "v", rows "g", or one
 RESULTS = {
-    "cost": [("", "")],
     "gradient": [("", ""), ("v", "")],
     "rows": [("g", "")],
     "jacobian": [("g", ""), ("g", "v")],
@@ -56,7 +55,6 @@ class NlpBlock(NamedTuple):
     results ``c``; derivatives are with respect to ``v``.
     """
 
-    cost: ca.Function  # function ``(v, q, p, c) -> cost``
     gradient: ca.Function  # function ``(v, q, p, c) -> (cost, gradient of the cost)``
     rows: ca.Function  # function ``(v, q, p, c) -> rows`` (constraint functions)
     jacobian: ca.Function  # function ``(v, q, p, c) -> (rows, Jacobian of the rows)``
@@ -122,7 +120,7 @@ def differentiate_block(text: str, *, compiled: bool) -> BlockFunctions:
     names = ("rows", "jacobian", "hessian")
     of_rows, jacobian, hessian = compiled_functions(values, names, large, compiled=compiled)
     gradient = ca.Function("gradient", arguments, [cost, ca.gradient(cost, v)])
-    return ca.Function("cost", arguments, [cost]), gradient, of_rows, jacobian, hessian
+    return gradient, of_rows, jacobian, hessian
 
 
 class ProgramFunctions(NamedTuple):
@@ -183,14 +181,17 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
 
     sizes = {"": np.ones(1), "v": scale, "g": np.ones(n_g)}
     of = [w, p, sigma, multipliers]
-    (f,), (g,) = together("cost"), together("rows")
+    gradient, jacobian = together("gradient"), together("jacobian")
+    # Compiled functions compute all of their results; of others, rows take only their operations.
+    compiled = any(not each.jacobian.is_a("SXFunction") for each in blocks)
+    (g,) = together("rows") if compiled else jacobian[:1]
     return ProgramFunctions(
         w,
         p,
-        f,
+        gradient[0],
         ca.densify(g),
-        ca.Function("gradient", of[:2], [ca.densify(each) for each in together("gradient")]),
-        ca.Function("jacobian", of[:2], together("jacobian")),
+        ca.Function("gradient", of[:2], [ca.densify(each) for each in gradient]),
+        ca.Function("jacobian", of[:2], jacobian),
         ca.Function("hessian", of, together("hessian", sigma, multipliers)),
     )
 
