@@ -237,8 +237,8 @@ ASIDE = ({}, {"x": 0.03, "y": -0.03, "heading": 0.02}, {"x": -0.03, "heading": -
 DRIVEN, WRONG, LOST, NOISE = 40, 0.02, 0.1, 0.01  # heights [m]; share of rates; states [m, rad]
 AXIS = np.arange(-3.0, 5.01, 0.25)
 GRID = Grid(AXIS, AXIS, Analytic(hills).elevation(*np.meshgrid(AXIS, AXIS, indexing="ij")))
-HEADER = """rms slip [m/s] median, largest; from the goal [mm]; largest violation; missed periods;
-failures; CPU ms a cycle p50, p99"""
+HEADER = f"""{"":49}  rms slip   largest from goal violation    missed  failures   CPU p50   CPU p99
+{"":49}     [m/s]     [m/s]      [mm]             [periods]            [ms/cycle]"""
 
 
 class Measuring(Replanning):

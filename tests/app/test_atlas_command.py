@@ -127,12 +127,12 @@ def test_a_killed_map_continues_and_gives_equal_files(monkeypatch):
     write_map((0.1 * np.sin(np.arange(40 * 20) / 3)).reshape(40, 20).astype("f4"))
     words = "atlas", "site.tif", "three_wheeler", *QUICK, "--headings", "1", "-j", "1"
     printed(*words, "-o", "whole.tif")
-    pressed, computed = pressing(verb.compute_tile, at=2)
-    monkeypatch.setattr(verb, "compute_tile", pressed)
+    pressed, computed = pressing(verb.tile_of, at=3)  # inside the third tile, which it ends
+    monkeypatch.setattr(verb, "tile_of", pressed)
     told = printed(*words, "-o", "part.tif", code=130)
-    assert "contains 3 of 6 tiles; repeat the command to continue" in told
+    assert "contains 2 of 6 tiles; repeat the command to continue" in told
     printed(*words, "-o", "part.tif")
-    assert len(computed) == 4  # the first missing tile is computed before the pool starts
+    assert len(computed) == 3 + 4
     assert Path("whole.tif").read_bytes() == Path("part.tif").read_bytes()
 
 
@@ -372,7 +372,7 @@ def test_hostile_maps_are_refused(z, more, expected, most, monkeypatch):
             "a running Dask scheduler",
             marks=pytest.mark.slow,
         ),
-        (("three_wheeler", "-o", "out.png"), "expected a name that ends in .tif"),
+        (("three_wheeler", "-o", "out.png"), "found '.png'; use out.tif"),
         (("three_wheeler", "-o", "site.tif"), "found the input"),
         (("three_wheeler", *sets("model=dynamics")), "'kinematics' or 'quasi-static'"),
     ],

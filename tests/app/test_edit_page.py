@@ -5,6 +5,7 @@ One browser and one server serve all tests, since both take seconds to start.
 
 import hashlib
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -92,11 +93,15 @@ class EditPage:
 
     def line(self) -> str:
         """Return the report of the page."""
-        return str(self.driver.find_element("id", "line").text)
+        return self.words("line")
 
     def error(self) -> str:
         """Return the error message of the page."""
-        return str(self.driver.find_element("id", "error").text)
+        return self.words("error")
+
+    def words(self, name: str) -> str:
+        """Return the text of an element."""
+        return str(self.driver.find_element("id", name).text)
 
 
 def until(ask: Callable[[], Any]) -> Any:
@@ -188,7 +193,15 @@ def test_dragged_handles_change_values_and_the_saved_file(page: EditPage) -> Non
     assert value(page, "start-y") == pytest.approx(-1.5, abs=tolerance)
     drag(page, "start-heading", -46, 46)  # from north to west
     assert value(page, "start-heading") == pytest.approx(1.5708, abs=0.05)
-    drag(page, "goal", 0, -round(metre))
+    from selenium.webdriver import ActionChains
+
+    goal = page.driver.find_element("id", "handle-goal")
+    ActionChains(page.driver).click_and_hold(goal).move_by_offset(0, -round(metre)).perform()
+    assert page.driver.find_element("id", "tilt").get_attribute("width")
+    assert re.fullmatch(r"goal: the ground tilts by \d+ deg", page.words("check"))
+    ActionChains(page.driver).release().perform()
+    assert page.words("check") == ""
+    assert not page.driver.find_elements("id", "tilt")
     assert value(page, "goal-y") == pytest.approx(2.1, abs=tolerance)
     drag(page, "keep-0-radius", round(metre), 0)
     assert value(page, "keep-radius") == pytest.approx(1.5, abs=tolerance)
@@ -200,6 +213,7 @@ def test_dragged_handles_change_values_and_the_saved_file(page: EditPage) -> Non
     field.clear()
     field.send_keys("1e9\t")
     assert value(page, "start-y") == 5.0  # the edge of the map
+    assert page.words("check") == "start: a wheel could reach the edge of the map or a hole"
     page.click("undo")
     assert value(page, "start-y") == moved
     before = {name: value(page, name) for name in ("start-x", "start-y", "goal-y")}
@@ -335,3 +349,23 @@ def test_a_restarted_server_and_double_clicks_lose_no_change(page: EditPage) -> 
     page.rest()
     assert shapes_in(data_of(page)) == [[[[3.0, 0.0]], 0.5]]
     assert page.error() == ""
+
+
+@pytest.mark.parametrize("width", [320, 390])
+def test_a_phone_shows_map_and_panel_without_scrolling_sideways(page: EditPage, width: int) -> None:
+    size = {"width": width, "height": 700, "deviceScaleFactor": 2, "mobile": True}
+    page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        page.open()
+        seen = "return [innerWidth, document.documentElement.scrollWidth, svg.clientWidth]"
+        assert page.run(seen) == [width] * 3
+        assert page.run("return svg.clientHeight") > 300
+        finger = "svg.dispatchEvent(new PointerEvent('pointer{}', {{pointerId: {}, clientX: {}}}));"
+        moves = [("down", 1, 100), ("down", 2, 200), ("move", 2, 300), ("up", 1, 0), ("up", 2, 0)]
+        fingers = "".join(finger.format(*move) for move in moves)
+        before = pixels_per_metre(page)
+        page.run(f"svg.setPointerCapture = () => {{}}; {fingers}")
+        assert pixels_per_metre(page) == pytest.approx(2 * before)
+    finally:
+        page.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        page.open()

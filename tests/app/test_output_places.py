@@ -138,6 +138,7 @@ def test_names_that_cannot_be_used(monkeypatch, name):
 def test_a_problem_names_results_by_their_ending(monkeypatch):
     told = _refused(monkeypatch, _problem(".zshrc"), "--no-draw")
     assert f"p.toml:{LINE}: output.file: expected a name that ends in .nc, found .zshrc; " in told
+    assert told.endswith("use .zshrc.nc\n")
 
 
 FIT = """

@@ -145,13 +145,22 @@ def labels(ax) -> list[str]:
     return ax.get_legend_handles_labels()[1]
 
 
+def heights_of(ax) -> np.ndarray:
+    """Return the heights of a relief with a colour bar, of whose shaded colours it is an image."""
+    scale = ax.child_axes[0]._colorbar.mappable
+    image, light = ax.images[0].get_array()[..., :3], scale.to_rgba(scale.get_array())[..., :3]
+    ratio = image / light  # the light has no colour
+    np.testing.assert_allclose(ratio, ratio[..., :1] * np.ones(3), atol=1e-6)
+    return scale.get_array()
+
+
 def test_ground_is_a_map_of_equal_scales(grid, ax):
     assert motion_figures.ground(grid, ax) is ax
     drawn(ax.figure)
     assert ax.get_aspect() == 1.0
     assert (*ax.get_xlim(), *ax.get_ylim()) == DOMAIN
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("east $x$ [m]", "north $y$ [m]")
-    heights = ax.images[0].get_array()
+    heights = heights_of(ax)
     assert heights.shape == (motion_figures.HEATMAP, motion_figures.HEATMAP)
     assert heights.min() == pytest.approx(grid.z.min(), abs=1e-3)
 
@@ -159,7 +168,7 @@ def test_ground_is_a_map_of_equal_scales(grid, ax):
 def test_heights_lie_where_they_belong(ax):
     x, y = np.linspace(0, 10, 11), np.linspace(0, 5, 6)
     motion_figures.ground(sf.Grid(x, y, x[:, None] + 100 * y[None, :]), ax)
-    heights = ax.images[0].get_array()
+    heights = heights_of(ax)
     assert heights[0, -1] == pytest.approx(10)  # south east
     assert heights[-1, 0] == pytest.approx(500)  # north west
 

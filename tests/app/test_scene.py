@@ -137,7 +137,7 @@ def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
     assert list(by_name) == ["height", "slope"]
     order = np.argsort(points[:, 2])
     lightness = by_name["height"].colors[order].astype(float) @ (0.3, 0.6, 0.1)
-    assert (np.diff(lightness) > -2).all()  # viridis grows lighter, for every eye
+    assert (np.diff(lightness) > -2).all()  # they grow lighter, for every eye
     assert scene.notes[0].startswith("Drawn ground: ")
     assert (
         f"{np.ptp(points[:, 0]):.4g} x {np.ptp(points[:, 1]):.4g} m of 12 x 12 m" in scene.notes[0]
@@ -167,7 +167,7 @@ def test_relief_is_lit_from_the_north_west_in_all_pictures() -> None:
     x = np.linspace(-6, 6, 41)
     z = 0.7 * np.exp(-(x[:, None] ** 2 + x**2) / 6)
     canvas = FigureCanvasAgg(Figure(figsize=(2, 2)))
-    ground_drawing.shade(x, x, z, canvas.figure.add_axes((0, 0, 1, 1)))
+    ground_drawing.relief(x, x, z, canvas.figure.add_axes((0, 0, 1, 1)))
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba())[::-1, :, 0].T  # from the south-western corner
     points = np.stack([*np.meshgrid(x, x, indexing="ij"), z], axis=-1)
@@ -351,7 +351,7 @@ def test_places_are_checked_before_anything_is_drawn(
     (tmp_path / "d.html").mkdir()
     monkeypatch.setattr("slipfree.problem.result.read", lambda _: pytest.fail("read"))
     for option, name, said in (
-        ("--animation", "a.avi", "expected a name that ends in .mp4 or .gif"),
+        ("--animation", "a.avi", "a name that ends in .mp4 or .gif, found '.avi'; use a.mp4"),
         ("--animation", "gone/a.gif", "expected a folder gone to write to, found none"),
         ("--animation", str(file), "expected a separate file, found the input"),
         ("--html", "a.gif", "expected a name that ends in .html"),

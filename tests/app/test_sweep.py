@@ -144,6 +144,7 @@ def test_a_dry_run_says_what_would_be_run(file):
         (["--vary", f"{SPEED}=1:2:1000", "--repeat", "1000"], "at most 100000 runs, found 1000000"),
         (["--scheduler", "tcp://x:1", "--processes", "2"], "expected --scheduler or --processes"),
         (["-o", "p.toml"], "expected a folder, found a file"),
+        (["-o", "out.nc"], "expected a folder, found a file; use, say, out"),
     ],
 )
 def test_bad_input_is_refused_before_anything_runs(file, words, said):
@@ -159,7 +160,7 @@ def test_a_sweep_tells_tabulates_and_draws(whole):
         "power_law.seed  ",
         "1 to 3",
         "slip_rms ",
-        "m/s (12 runs)",
+        "mean 0, 0 to 0 m/s (12 runs)",  # by rounding
         "driver.speed = 0.5 ",
         f"{ROUGH} = 0.02 ",
         "(6 runs)",

@@ -36,11 +36,12 @@ ROWS = (
 )
 
 
-def geotiff(path, rows=ROWS, *, transform=None, tags=None, **options):
+def geotiff(path, rows=ROWS, *, transform=None, tags=None, name="", **options):
     rasters.geotiff(path, rows, transform or from_origin(WEST, NORTH, CELL), **options)
-    if tags:
+    if tags or name:
         with rasterio.open(path, "r+") as file:
-            file.update_tags(**tags)
+            file.update_tags(**(tags or {}))
+            file.set_band_description(1, name)
     return path
 
 
@@ -265,6 +266,11 @@ def test_tiles_in_degrees(tmp_path):
         ({"transform": Affine(0.2, 1e-5, 5, 1e-5, -0.2, 7)}, "rotated, sheared or mir.*gdalwarp"),
         ({"crs": None, "transform": from_origin(15, 47, 1e-4)}, "seems to be in degrees"),
         ({"crs": "EPSG:5513"}, "to the north, found axes to the west of EPSG:5513; .*gdalwarp"),
+        (
+            {"name": "slope_deg"},
+            "band of heights, .* found one named 'slope_deg'; use the map of hei",
+        ),
+        ({"name": "Depth"}, "positive upward, found one named 'Depth'; .*name it 'height'"),
         ({"crs": f"{UTM}+5715"}, "positive upward, found depths, positive downward; .*--calc=-A"),
     ],
 )

@@ -132,8 +132,9 @@ def check_outputs(
                 check_ending(path, endings)
     if folder is not None:
         check_name(folder)
-        if folder.exists() and not folder.is_dir():
-            raise DataError(f"{folder}: expected a folder, found a file; choose another folder")
+        if not folder.is_dir() and (folder.exists() or folder.suffix.lower() in (".nc", ".csv")):
+            proposed = folder.with_suffix("")
+            raise DataError(f"{folder}: expected a folder, found a file; use, say, {proposed}")
         above = next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
         _check_writable(folder, above)
         taken.clear()
@@ -210,7 +211,8 @@ def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any])
                 f"found {path}{link}; {remedy}"
             )
     if out.suffix.lower() != ".nc":
-        raise DataError(f"{where}: expected a name that ends in .nc, found {out}; {remedy}")
+        proposed = out.with_suffix(".nc")
+        raise DataError(f"{where}: expected a name that ends in .nc, found {out}; use {proposed}")
     if out.is_file() and not attributes_of(out):
         raise DataError(
             f"{where}: expected a new file or a result of an earlier run, found the file {out}, "

@@ -83,7 +83,7 @@ def run(
     # the search may go on in the file from which it resumes
     outputs.check_outputs([csv], [*files_read(problem), *([resume] if resume else [])])
     outputs.check_outputs([out, csv], files_read(problem), folder=folder)
-    check_ending(out, (".nc",), "choose another name; --csv OUT.csv also writes a table")
+    check_ending(out, (".nc",), "; --csv OUT.csv also writes a table")
     for option, value in ((CROSS_CHECK, cross_check), (RESUME, resume)):
         if value:
             check_option(problem, option)

@@ -206,6 +206,7 @@ def track(
         File for the last motion, by the last way with the last seed; the figure has the same
         name with .png. Default: neither.
     """
+    check_outputs([out], endings=(".nc",))
     with console.about(file):
         from slipfree.files.netcdf import write
         from slipfree.problem.result import result_files
@@ -214,7 +215,6 @@ def track(
         with regular_file(file, "a result file of slipfree"):
             picture = out.with_suffix(".png") if out is not None and draw else None
             check_outputs([out, picture], result_files(file))
-            check_outputs([out], endings=(".nc",))
         with console.studying("motions") as watch:
             test = plan_tracking.follow_plan(
                 file,

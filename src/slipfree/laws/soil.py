@@ -383,7 +383,7 @@ class Soil:
                     contacts.across[k] - own.sideways,
                 ]
             )
-        words = "no quasi-static equilibrium: the soil cannot hold the vehicle"
+        words = "the soil cannot hold the vehicle"
         fastest = no_equilibrium(contacts._replace(diagnose=lambda _x, _z: words))
         sunk = (
             Limit(quantity_label("sunk", wheel.name, quantity="sinkage"), depth, -inf, wheel.radius)

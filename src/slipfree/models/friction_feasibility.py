@@ -253,7 +253,7 @@ def diagnosis(z: base.Algebraic, q: base.Quantities) -> Callable[[Array, Array],
             )
         words = _friction_words(factor, friction, tips=margin < 0)
         leans = f"; a wheel leans by {lean:.3g} rad" if lean > MAX_UPRIGHT_LEAN else ""
-        return f"no quasi-static equilibrium: {place} {words}{leans}" if words else ""
+        return f"{place} {words}{leans}" if words else ""
 
     return describe
 

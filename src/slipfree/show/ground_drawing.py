@@ -10,6 +10,8 @@ import casadi as ca
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from scipy.interpolate import RectBivariateSpline
@@ -17,21 +19,19 @@ from scipy.interpolate import RectBivariateSpline
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.core.records import Array, Mask
-from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.regions import Region
 from slipfree.show import style
 from slipfree.show.meshes import clipped
 from slipfree.show.plots import Plot, PlottedDrive
 from slipfree.show.style import COLUMN, MM, PAGE
 from slipfree.terrain.base import Grid, Terrain
-from slipfree.terrain.solids import Prism, Profile, section_of
+from slipfree.terrain.solids import Prism, section_of
 
 HEATMAP = 601  # samples of a drawn map along an axis
 DIGITS = 9  # decimals of drawn heights, so that flat ground looks flat [m]
 STEEP_SHADE, MAX_EXAGGERATION = 0.7, 20.0  # exaggerated slope of steep parts, largest factor
 LEVEL, DARKEST = 0.9, 0.45  # brightness of level ground and of the darkest slopes
 LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)])  # direction to the light: north-west, 45 degrees high
-RELIEF = "#EDE4D6"
 HATCH = "//////"
 TALLEST = 152 * MM  # height of figures of maps [in]
 INSIDE = 0.44  # largest distance of text on a map from its middle [width of the map]
@@ -58,12 +58,17 @@ def extent(x: Array, y: Array) -> dict[str, Any]:
     }
 
 
-def shade(x: Array, y: Array, z: Array, ax: Axes) -> Axes:
-    """Draw a transparent hillshade of heights z, shape (n_x, n_y), with equal aspect."""
-    shadow = np.zeros((y.size, x.size, 4))
-    shadow[..., 3] = np.nan_to_num(1 - brightness(x, y, z).T)  # nothing over holes
-    ax.imshow(shadow, **extent(x, y))
-    return map_axes(x, y, ax)
+def relief(x: Array, y: Array, z: Array, ax: Axes) -> ScalarMappable:
+    """Draw heights z, shape (n_x, n_y), in colours with a hillshade, and return their scale."""
+    low, high = np.nanmin(z), np.nanmax(z)
+    scale = ScalarMappable(Normalize(low, max(high, low + style.FLAT)), style.HEIGHTS)
+    scale.set_array(z.T)
+    colors = scale.to_rgba(z.T)
+    colors[..., :3] *= np.nan_to_num(brightness(x, y, z).T)[..., None]
+    colors[..., 3] = np.isfinite(z.T)  # nothing over holes
+    ax.imshow(colors, **extent(x, y))
+    map_axes(x, y, ax)
+    return scale
 
 
 def map_axes(x: Array, y: Array, ax: Axes) -> Axes:
@@ -90,9 +95,8 @@ def brightness(x: Array, y: Array, z: Array) -> Array:
 
 
 def muted(grid: Grid, ax: Axes, window: Window) -> Axes:
-    """Draw a part of the ground in grey-brown, below coloured content."""
-    ax.set_facecolor(RELIEF)
-    shade(*patch(grid, window, HEATMAP), ax)
+    """Draw a part of the ground in pale colours, below coloured content."""
+    relief(*patch(grid, window, HEATMAP), ax)
     return contours(grid, ax, window)
 
 
@@ -264,28 +268,25 @@ def side_plot(drive: PlottedDrive) -> Plot | None:
     def make() -> Figure:
         height, length = (float(np.ptp(run[f"center_{axis}"])) + 0.2 for axis in "zy")
         figure = style.figure(PAGE, PAGE * height / length + 20 * MM)
-        side_view(run, section, figure.subplots())
-        return figure
+        ax = figure.subplots()
+        for solid in section.solids:
+            ax.add_patch(Polygon(solid.points, fc="0.85", ec="0.85", lw=0.3, zorder=0))
+        y, z = run["center_y"], run["center_z"]
+        away = np.hypot(run["contact_y"] - y, run["contact_z"] - z)
+        order = np.argsort(y[0])
+        ax.plot(y, z, color="0.5", lw=0.6, zorder=2)
+        for number, k in enumerate(np.linspace(0, run.t.size - 1, POSES).astype(int)):
+            look: dict[str, Any] = {"color": colormaps["viridis"](LATEST * number / (POSES - 1))}
+            words = f"{run.t[k]:.3g} s"
+            ax.plot(
+                y[k, order], z[k, order], "o-", lw=1.3, ms=2.6, mfc="white", label=words, **look
+            )
+            for place in zip(y[k], z[k], np.nanmedian(away, axis=0), strict=True):
+                ax.add_patch(Circle(place[:2], place[2], fill=False, lw=0.9, zorder=3, **look))
+        radius = float(np.nanmedian(away))
+        ax.set(xlabel="forward $y$ [m]", ylabel="height $z$ [m]", aspect="equal")
+        ax.set_xlim(y.min() - radius - ROOM, y.max() + radius + ROOM)
+        ax.set_ylim(z.min() - radius - ROOM, z.max() + radius + ROOM)
+        return style.finished(figure, run, [ax])
 
-    return Plot("side", "Vehicle and solids from the side.", make)
-
-
-def side_view(run: Trajectory, section: Profile, ax: Axes, count: int = POSES) -> Axes:
-    """Draw solids, paths of the wheels, and a planar vehicle at ``count`` times."""
-    for solid in section.solids:
-        ax.add_patch(Polygon(solid.points, fc="0.85", ec="0.85", lw=0.3, zorder=0))
-    y, z = run["center_y"], run["center_z"]
-    away = np.hypot(run["contact_y"] - y, run["contact_z"] - z)
-    order = np.argsort(y[0])
-    ax.plot(y, z, color="0.5", lw=0.6, zorder=2)
-    for number, k in enumerate(np.linspace(0, run.t.size - 1, count).astype(int)):
-        color = colormaps["viridis"](LATEST * number / max(1, count - 1))
-        ax.plot(y[k, order], z[k, order], "o-", color=color, lw=1.3, ms=2.6, mfc="white", zorder=3)
-        for place in zip(y[k], z[k], np.nanmedian(away, axis=0), strict=True):
-            ax.add_patch(Circle(place[:2], place[2], fc="none", ec=color, lw=0.9, zorder=3))
-    radius = float(np.nanmedian(away))
-    ax.set_aspect("equal")
-    ax.set(xlabel="forward $y$ [m]", ylabel="height $z$ [m]")
-    ax.set_xlim(y.min() - radius - ROOM, y.max() + radius + ROOM)
-    ax.set_ylim(z.min() - radius - ROOM, z.max() + radius + ROOM)
-    return ax
+    return Plot("side", "Vehicle and solids from the side, at several times.", make)

@@ -19,15 +19,17 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from scipy.ndimage import uniform_filter
 
 from slipfree.core.records import html_table
-from slipfree.routing.traversability import extents
+from slipfree.routing.traversability import free_space
 from slipfree.show.ground_drawing import muted
 from slipfree.show.local_server import Content, page_file
 from slipfree.show.plots import Plot, draw
 from slipfree.show.scene import WORLD, Color, Layer, Scene
-from slipfree.show.style import DPI, STYLE, figure
-from slipfree.terrain.base import Grid
+from slipfree.show.style import DPI, RISK, STEEP, STYLE, figure
+from slipfree.terrain.base import Grid, axis_step
+from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
 
 SAVED_KEYS = "Keys: space: play or pause; left, right: step; home, end: first and last time."
@@ -36,6 +38,9 @@ PIXELS = 120  # pixels of the page per inch of a figure
 VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # for reproducible pages
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 MAP_PIXELS, MAP_DPI = 1600, 400  # longer side of the map for planning, pixels per inch of its text
+
+NODES = 400  # largest number of nodes of the tilt along an axis of the map
+FORBIDDEN = 255  # tilt at which a wheel could reach the edge of the map or a hole
 
 
 def with_legend(
@@ -208,11 +213,27 @@ class PlanPage(NamedTuple):
 
 
 def plan_page(title: str, file: Path, grid: Grid, vehicle: Vehicle, **more: object) -> PlanPage:
-    """Return the page for planning by hand; ``more`` are further data of its script, as JSON."""
+    """Return the page for planning by hand; ``more`` are further data of its script, as JSON.
+
+    The page shows the tilt of the ground, averaged over the size of the vehicle, in degrees.
+    """
     image = map_image(grid)
+    layers = free_space(terrain := Bicubic(grid), vehicle)
+    every = 1 + max(layers.to_hole.shape) // NODES
+    x, y = layers.x[::every], layers.y[::every]
+    size = [max(1, round(2 * layers.limits.half / axis_step(axis))) for axis in (y, x)]
+    z = uniform_filter(terrain.elevation(x, y[:, None]), size, mode="nearest")
+    tilt = np.degrees(np.arctan(np.hypot(*np.gradient(z, y, x)))).round()
+    tilt[np.isinf(layers.least_cost[::every, ::every].T)] = FORBIDDEN
     data = {
         "domain": grid.domain,
-        "reach": extents(vehicle)[2],
+        "reach": layers.limits.reach,
+        "tilt": {
+            "x": (x[0], x[-1], x.size),
+            "y": (y[0], y[-1], y.size),
+            "values": b64encode(tilt.astype(np.uint8).tobytes()).decode(),
+            "color": RISK(np.linspace(0, 1, round(STEEP) + 1), bytes=True)[:, :3].tolist(),
+        },
         "file": _digest(str(file.resolve()).encode(errors="backslashreplace")),
         **more,
     }
@@ -237,7 +258,6 @@ def map_image(grid: Grid) -> Content:
     drawn.set_layout_engine("none")
     ax = drawn.add_axes((0, 0, 1, 1))
     muted(grid, ax, grid.domain)
-    drawn.set_facecolor(ax.get_facecolor())  # that of axes without lines is not drawn
     ax.set_axis_off()
     ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="auto")
     stream = BytesIO()

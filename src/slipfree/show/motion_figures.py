@@ -16,7 +16,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import ScalarFormatter
 
 from slipfree.atlas.atlas import Atlas
@@ -31,7 +30,7 @@ from slipfree.show import ground_drawing, style
 from slipfree.show.atlas_figures import atlas_plots, view_of
 from slipfree.show.ground_drawing import HEATMAP, side_plot
 from slipfree.show.plots import Panel, Plot, PlottedDrive, draw, stack
-from slipfree.show.style import FLAT, MM, PAGE, PLATFORM, STEEP, STOPPED
+from slipfree.show.style import PAGE, PLATFORM, STEEP, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism, Solids
@@ -41,13 +40,11 @@ CEILING = 3.0  # largest drawn utilisation
 HEADROOM = 1.1  # height of the axes over the largest utilisation
 LEAST_SLIP = 1.0  # smallest end of the colours of slip [mm/s]
 Compose = Callable[[PlottedDrive], Plot | None]
-HEIGHTS = "cividis"
 FILLED = "#D60093"  # hatching of filled holes
 ROUNDING = 1e-9  # smaller slip is rounding [m/s]
 STILL = 1e-9  # a joint that moves less counts as fixed [rad]
 BELOW: dict[str, Any] = {"color": "0.75", "lw": 2.6, "zorder": 1}  # visible below other lines
 DISTINCT = 0.01  # smallest distance of distinguishable lines [height of the axes]
-INSET = 150  # samples of the small map along an axis
 AROUND = 0.5  # margin of the ground drawn around a motion [extent of the motion]
 NODES = 101  # of an axis of the ground of a formula
 NOTES = {  # on the slip, by model
@@ -157,12 +154,9 @@ def _worst_words(run: Trajectory) -> str:
 def ground(grid: Grid, ax: Axes) -> Axes:
     """Draw the heights of a ground as a shaded map with contour lines and a colour bar."""
     x, y, z = ground_drawing.patch(grid, grid.domain, HEATMAP)
-    low, high = np.nanmin(z), np.nanmax(z)
-    ends, where = (low, max(high, low + FLAT)), ground_drawing.extent(x, y)
-    heights = ax.imshow(z.T, cmap=HEIGHTS, clim=ends, **where)
-    ground_drawing.shade(x, y, z, ax)
-    if high > low:
-        ax.contour(x, y, z.T, levels=12, colors="white", linewidths=0.4, alpha=0.6)
+    heights = ground_drawing.relief(x, y, z, ax)
+    if np.nanmax(z) > np.nanmin(z):
+        ax.contour(x, y, z.T, levels=12, colors="0.5", linewidths=0.4)
     ground_drawing.hatch(grid, grid.filled, grid.domain, "filled holes", FILLED, ax)
     ground_drawing.hatch(grid, grid.holes, grid.domain, "no heights", "0.4", ax)
     bar = style.side_bar(heights, ax, "height $z$ [m], relief shaded")
@@ -236,6 +230,7 @@ def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
     ax.plot(s, rise, **BELOW, label="ground along the heading")
     ax.plot(s, run["pitch"], color=PLATFORM, label="pitch of the platform")
     ax.set(xlabel="distance driven [m]", ylabel="slope [rad]")
+    ax.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return style.degrees(ax)
 
 
@@ -320,7 +315,7 @@ def map_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of ground, path and tracks in plan view."""
 
     def make() -> Figure:
-        run, grid, whole = drive.run, drive.grid, drive.grid.domain
+        run, grid = drive.run, drive.grid
         x, y = (np.append(run[name], run[f"contact_{name}"]) for name in "xy")
         figure, ax, window = ground_drawing.map_figure(x, y, grid, 0.15)
         ground_drawing.solids(drive.prisms, ground_drawing.muted(grid, ax, window))
@@ -330,15 +325,6 @@ def map_plot(drive: PlottedDrive) -> Plot:
         path(run, ground_drawing.plan_marks(ax, **{**drive.marks, "places": places}))
         if "slip_along" in run:
             tracks(run, ax)
-        if window != whole:
-            counts = [np.sum((x > np.mean(window[:2])) == e) for e in (True, False)]
-            inset = ax.inset_axes(
-                (0.74 if counts[0] < counts[1] else 0.01, 0.74, 0.25, 0.25), zorder=7
-            )
-            ground_drawing.shade(*ground_drawing.patch(grid, whole, INSET), inset)
-            inset.set(xticks=[], yticks=[], xlabel="", ylabel="", facecolor=ground_drawing.RELIEF)
-            size = window[1] - window[0], window[3] - window[2]
-            inset.add_patch(Rectangle(window[::2], *size, fill=False, ec=STOPPED, lw=1.2))
         return style.cropped(style.finished(figure, run, [ax]), ax)
 
     words = "Ground and path in plan view, with tracks in the colours of utilisation or slip."
@@ -347,16 +333,9 @@ def map_plot(drive: PlottedDrive) -> Plot:
 
 def elevation_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of heights and slopes along the path."""
-
-    def make() -> Figure:
-        figure = style.figure(PAGE, 100 * MM)
-        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        elevation(drive.run, drive.surface, top).set_xlabel("")
-        lines = slope(drive.run, drive.surface, bottom)
-        lines.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-        return style.finished(figure, drive.run, [top])
-
-    return Plot("elevation", "Heights and slopes along the path.", make)
+    top, bottom = (partial(draw, drive.run, drive.surface) for draw in (elevation, slope))
+    panels = [Panel(top, 45.0), Panel(bottom, 30.0, has_legend=False)]
+    return Plot("elevation", "Heights and slopes along the path.", lambda: stack(drive.run, panels))
 
 
 def over_time(name: str, caption: str) -> Compose:

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from contourpy import contour_generator
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
@@ -52,7 +51,6 @@ ROUND = (1, 1.5, 2, 3, 4, 5, 6, 8, 10)  # round scales of arrows, times a power 
 FULL_SLIP = 0.1  # slip of an arrow of the length `LONGEST`, in all scenes [m/s]
 LEAST = {"slip": 1e-4, "force": 1e-3}  # arrows of smaller vectors are omitted [m/s, N]
 UNITS = {"slip": "m/s", "force": "N"}
-HEIGHTS = "viridis"  # colours of heights; all else is coloured by risk
 ARROWS = {"slip": (0, 0, 0), "force": (255, 0, 255)}  # different from the colours of runs
 FAR = 20.0  # the camera follows vehicles on longer paths [reach of the vehicle]
 WORLD = "/world"  # node with the scene; it moves when the camera follows a vehicle
@@ -361,7 +359,7 @@ def rgb(name: str) -> Color:
 
 def layer(name: str, values: Array, legend: str, low: float, high: float) -> Layer:
     """Return the colours of values of a quantity; ``low`` and ``high`` end the colour scale."""
-    scale = colormaps[HEIGHTS] if name == "height" else style.RISK
+    scale = style.HEIGHTS if name == "height" else style.RISK
     parts = np.clip((values - low) / max(high - low, style.FLAT), 0, 1)
     ends = tuple(rgb(scale(part)) for part in np.linspace(0, 1, 9))
     return Layer(name, legend, ends, scale(parts, bytes=True)[..., :3])

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.core.errors import DataError, SlipfreeError, shortened
-from slipfree.core.facts import Fact, Lines, numbers, printed_unit
+from slipfree.core.facts import ROUNDING, Fact, Lines, numbers, printed_unit
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.core.version import __version__
@@ -513,14 +513,17 @@ def grids(sweep: Sweep, rows: Rows, figures: Sequence[str]) -> dict[str, Swept]:
     """Return metrics over the grid and the repetitions, by name; NaN for runs without them.
 
     The arrays have one axis per varied key and a last one for the repetitions. The result also
-    contains ``complete`` and, for plans, ``within_limits``.
+    contains ``complete`` and, for plans, ``within_limits``. Speeds of the size of rounding are
+    zero.
     """
     names = dict.fromkeys([*figures, COMPLETE, WITHIN_LIMITS])
     units = {name: unit for name, unit in rows.units.items() if name in names}
     values = {name: np.full(sweep.count, np.nan) for name in names if name in units}
     for row in rows:
         for name in row.figures.keys() & values.keys():
-            values[name][row.run - 1] = row.figures[name][0]
+            value = row.figures[name][0]
+            is_zero = units[name] == "m s-1" and abs(value) < ROUNDING
+            values[name][row.run - 1] = value * (not is_zero)
     shape = (*(len(axis.values) for axis in sweep.axes), sweep.repeat)
     spec = sweep.problem.spec
     axes = tuple(axis._replace(unit=unit_of(spec, axis.name)) for axis in sweep.axes)

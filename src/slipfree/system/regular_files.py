@@ -72,12 +72,16 @@ def check_name(path: Path) -> None:
         ) from error
 
 
-def check_ending(path: Path, endings: Collection[str], remedy: str = "choose another name") -> None:
-    """Raise DataError unless the name of a file to write has one of the endings."""
+def check_ending(path: Path, endings: Collection[str], more: str = "") -> None:
+    """Raise DataError unless the name of a file to write has one of the endings.
+
+    The message proposes the name with the first ending, followed by a text.
+    """
     if path.suffix.lower() not in endings:
+        proposed = f"{path.parent / path.stem}{next(iter(endings))}{more}"
         raise DataError(
             f"{path}: expected a name that ends in {' or '.join(endings)}, found "
-            f"{repr(path.suffix) if path.suffix else 'no ending'}; {remedy}"
+            f"{repr(path.suffix) if path.suffix else 'no ending'}; use {proposed}"
         )
 
 

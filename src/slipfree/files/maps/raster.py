@@ -63,6 +63,9 @@ TO_HEIGHTS = (
 )
 DOWN = re.compile(r",\s*down\b", re.IGNORECASE)  # direction of an axis
 VERTICAL_UNIT = re.compile(r'VERT_CS\[.*?UNIT\["([^"]*)"')
+TO_BAND = "use the map of heights, or, if the band contains heights, name it 'height'"
+# in names of bands
+NOT_HEIGHTS = re.compile(r"(?<![a-z])(slope|aspect|hillshade|depth|roughness)", re.IGNORECASE)
 TO_METRES = "gdalwarp -t_srs {} in.tif out.tif"
 Registration = Literal["area", "point"]
 T = TypeVar("T")
@@ -426,6 +429,9 @@ def _check_band(file: Any) -> None:
         refuse("one raster of heights", ", ".join(names), remedy)
     if file.count != 1 and colours != ["red", "green", "blue"]:
         refuse("one band of heights", f"{file.count} bands", TO_GRAY)
+    name = file.descriptions[0] or file.tags(1).get("NETCDF_VARNAME", "")
+    if NOT_HEIGHTS.search(name):
+        refuse("a band of heights, positive upward", f"one named {name!r}", TO_BAND)
     kind = np.dtype(file.dtypes[0]).kind
     if kind not in "iuf":
         refuse("heights that are real numbers", f"the type {file.dtypes[0]}", TO_REAL)

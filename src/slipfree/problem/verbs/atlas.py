@@ -386,10 +386,10 @@ def run_tiles(setup: AtlasSetup, folder: TileFolder, workers: Workers, watch: Pa
     digests, known = tuple(folder.states.digests.items()), tuple(setup.known.items())
     recipe = recipe_of(setup.problem)
     recipe = recipe._replace(path=recipe.path.absolute())
-    with study(compute_tile, folder, workers, watch=watch) as solve:
+    # without a poll, Ctrl-C is not held back and ends a tile, which is stored as a whole or not
+    with study(compute_tile, folder, workers, watch=PartsWatch(progress=watch.progress)) as solve:
         watch.progress(len(folder), folder.size)
         for number in folder.missing[:1]:  # here: it compiles the equations, and errors are raised
-            watch.poll()
             folder.store(number, _tile(setup, number))
         for _ in solve(folder.missing, lambda number: TileTask(recipe, digests, known, number)):
             pass
