@@ -22,7 +22,6 @@ from slipfree.core.records import leaves
 from slipfree.core.trajectory import IPOPT_STATUSES, SUNDIALS_FLAGS, ipopt_words, sundials_words
 from slipfree.plan.mpc import first_cycle, horizon
 from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
-from slipfree.plan.verification import _compare
 from slipfree.solve.integrator import STALLED_STEPS, StepObserver
 from slipfree.solve.sampling import periodic_states, same_turn
 from slipfree.solve.simulate import simulate_sampled
@@ -342,20 +341,6 @@ def test_a_goal_is_reached_the_short_way(goal: Any, guess: float, expected: Any)
     assert (x.lower, x.upper) == (9.0, 9.0)
     assert (heading.lower, heading.upper) == pytest.approx((low, high))
     assert abs(way.limits[0].lower) <= 2 * pi or isinstance(goal, tuple)
-
-
-def test_a_caster_that_swings_to_the_other_side_is_no_error() -> None:
-    part = np.linspace(0.0, 1.0, 101)
-    swing = pi / 2 * (1 + np.tanh(40 * (part - 0.5)))
-    planned, periodic = np.stack([swing, part]), np.array([True, False])
-    near, gaps = _compare(np.stack([-swing, part]), planned, periodic, 1e-3)
-    assert np.abs(near - planned).max() <= pi
-    assert np.abs(gaps).max() <= 1e-3
-    for wrong in (0.5 * swing, -0.8 * swing, swing + 0.01):  # ends elsewhere
-        _, gaps = _compare(np.stack([wrong, part]), planned, periodic, 1e-3)
-        assert np.abs(gaps).max() > 5e-3
-    _, gaps = _compare(np.stack([-swing, part]), planned, np.zeros(2, dtype=bool), 1e-3)
-    assert np.abs(gaps).max() == pytest.approx(2 * pi, abs=1e-3)
 
 
 def test_a_measured_heading_may_be_a_turn_away_from_the_plan() -> None:
