@@ -316,6 +316,18 @@ def test_damaged_files_are_refused_by_name(tmp_path, name, data, words):
     )
 
 
+@pytest.mark.parametrize("height", [0.0, 1.0, 9.0])
+def test_a_surface_whose_y_is_upward_is_refused(tmp_path, height):
+    (x, y, z), path = PLANE.T, tmp_path / "a.ply"
+    z = z + height * np.sin(x) * np.cos(y)
+    for order, words in ((x, y, z), ""), ((x, z, -y), "z is upward, found .*; turn it: pdal"):
+        path.write_bytes(ply(np.column_stack(order), "ascii"))
+        if words:
+            refuses(DataError, words, read_map, path)
+        else:
+            read_map(path)
+
+
 def test_coordinates_beyond_their_digits_are_refused(tmp_path):
     """A float32 has steps of 0.5 m at 5e6 m; whole numbers are exact."""
     far, path, coarse = np.array([5e5, 5e6, 0]), tmp_path / "a.ply", "to 0.5 .* four bytes; write x"

@@ -272,8 +272,7 @@ def fail(error: OSError) -> NoReturn:
 def print_json(command: str, code: int, content: Mapping[str, Any]) -> None:
     """Print the JSON object of a command: name, exit code and its meaning, then ``content``."""
     head = {"command": command, "exit_code": code, "meaning": MEANINGS[code]}
-    text = to_json.dumps(plain({**head, **content}))
-    print_line(text.replace("\x7f", r"\u007f"))
+    print_line(to_json.dumps(plain({**head, **content})).replace("\x7f", r"\u007f"))
 
 
 def add_json(name: str, make: Callable[[], Any]) -> None:

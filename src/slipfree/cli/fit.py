@@ -276,8 +276,7 @@ def wheel(
     """
     with console.about(file):
         if fit:
-            work = _soil_fit(file, settings or [])
-            _write_fit(file, work, out, write, force=force, draw=draw)
+            _write_fit(file, _soil_fit(file, settings or []), out, write, force=force, draw=draw)
             return
         if write:
             raise ModelError(f"{file}: expected --fit with --write, found none; add --fit")

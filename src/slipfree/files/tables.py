@@ -212,8 +212,7 @@ def read_columns(
     if width > count:  # of rows that are too short
         wanted = f"{width} values as in the first row, with numbers for {','.join(names)}"
     free = {key for key in chosen if key.split(":")[0] in optional}
-    numbers = _read_numbers(layout, chosen, wanted, free)
-    read = dict(zip(chosen, numbers.T, strict=True))
+    read = dict(zip(chosen, _read_numbers(layout, chosen, wanted, free).T, strict=True))
     if "t:s" in read:
         read["t"], chosen["t"] = 1e9 * read["t:s"] + read["t:n"], (chosen["t:s"][0], "ns")
     if "heading:z" in read:

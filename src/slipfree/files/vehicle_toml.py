@@ -714,8 +714,7 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[toml.Fault]]:
         return tuple(made)
 
     def coordinate(table: CoordinateKeys) -> tree.Coordinate:
-        words = {"words": table.name.replace("_", " ")}
-        return tree.Coordinate(**words | toml.given_values(table))
+        return tree.Coordinate(**{"words": table.name.replace("_", " ")} | toml.given_values(table))
 
     def joint(table: JointTable) -> tree.Joint:
         keys = table.model_dump(exclude={"mass", "center_of_mass", "inertia", "shapes"})

@@ -259,8 +259,7 @@ def manoeuvres_of(logs: Sequence[DriveLog], windows: Windows) -> Indices:
     if len(logs) >= BLOCKS:
         return windows.log
     own = [logs[k].manoeuvre[i] for k, i in zip(windows.log, windows.first, strict=True)]
-    pairs = np.column_stack([windows.log, own])
-    return np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+    return np.unique(np.column_stack([windows.log, own]), axis=0, return_inverse=True)[1].ravel()
 
 
 def folds_of(logs: Sequence[DriveLog], windows: Windows) -> Indices:

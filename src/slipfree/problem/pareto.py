@@ -220,8 +220,7 @@ def plan_front(
             slip = _slip_settings(problem, against, durations[1] if against == DURATION else None)
             best = one("least slip", slip, given)
             better(count - 1, best)
-            other = one("least slip from the initial guess", slip, None, is_needed=False)
-            better(count - 1, other)
+            better(count - 1, one("least slip from the initial guess", slip, None, is_needed=False))
         except KeyboardInterrupt:
             points = (least, *[FrontPoint(np.nan)] * (count - 2), best)
             return PlanFront(against, unit, given, least, points, is_interrupted=True)

@@ -161,8 +161,7 @@ def _limit(drawn: AtlasView) -> Figure:
     room = 4.2 * sum(label.count("\n") + 1 for label in labels)
     figure = _sized(drawn, below=room)
     ax = figure.subplots()
-    scale = ListedColormap(colors)
-    _image(drawn, shown, scale, Normalize(-0.5, len(colors) - 0.5), ax)
+    _image(drawn, shown, ListedColormap(colors), Normalize(-0.5, len(colors) - 0.5), ax)
     handles = [
         Patch(fc=color, ec="0.4", lw=0.4, label=label)
         for color, label in zip(colors, labels, strict=True)

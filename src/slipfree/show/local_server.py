@@ -132,8 +132,7 @@ def start_server(
                 self._send(400, _text(f"expected JSON of at most {MAX_REQUEST} bytes"))
             else:
                 try:
-                    value = json.loads(self.rfile.read(int(length)))
-                    self._send(200, json_content(act(value)))
+                    self._send(200, json_content(act(json.loads(self.rfile.read(int(length))))))
                 except ConflictError as error:
                     self._send(409, json_content(error.state))
                 except SlipfreeError as error:

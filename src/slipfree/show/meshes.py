@@ -128,8 +128,7 @@ def plate(half_width: float, rear: float, front: float, thickness: float) -> Tri
         (0.0, front),
         (-half_width, shoulder),
     )
-    outline = np.array([(x, y, -thickness / 2) for x, y in corners])
-    return extruded(outline, (0.0, 0.0, thickness))
+    return extruded(np.array([(x, y, -thickness / 2) for x, y in corners]), (0.0, 0.0, thickness))
 
 
 def clipped(

@@ -225,8 +225,7 @@ def wheel_plot(
                     ax.plot(slip[rows], factor * values[rows], marker, ls="", **look)
 
     words = "Drawbar pull, side force, torque and sinkage over the slip ratio."
-    panels = [Panel(partial(panel, *each)) for each in PANELS]
-    return Plot(name, words, lambda: stack(None, panels))
+    return Plot(name, words, lambda: stack(None, [Panel(partial(panel, *each)) for each in PANELS]))
 
 
 def soil_plot(name: str, measured: Array, fit: SoilFit) -> Plot:

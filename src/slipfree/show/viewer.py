@@ -259,8 +259,7 @@ def tracks(points: Array, width: float, *, dashed: bool) -> TriangleMesh:
         ribbon = sheet(np.stack([track - aside, track + aside], axis=1))
         faces = ribbon.faces.reshape(-1, 2, 3)[:: 2 if dashed else 1]
         faces = faces[np.isfinite(ribbon.vertices[faces]).all(axis=(1, 2, 3))]
-        vertices = np.nan_to_num(ribbon.vertices)
-        ribbons.append(TriangleMesh(vertices, faces.reshape(-1, 3)))
+        ribbons.append(TriangleMesh(np.nan_to_num(ribbon.vertices), faces.reshape(-1, 3)))
     return joined(*ribbons)
 
 

@@ -216,5 +216,4 @@ class Analytic(base.GroundFriction):
     @cached_property
     def _numeric(self) -> ca.Function:
         x, y = ca.SX.sym("x"), ca.SX.sym("y")
-        height = ca.Function("elevation", [x, y], [ca.densify(ca.SX(self.function(x, y)))])
-        return height.map(CHUNK)
+        return ca.Function("elevation", [x, y], [ca.densify(ca.SX(self.function(x, y)))]).map(CHUNK)

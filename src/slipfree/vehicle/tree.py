@@ -669,8 +669,7 @@ class Vehicle(HtmlRepr, VehicleParts):
     @property
     def centers(self) -> Array:
         """Centres of the wheels relative to the platform at zero coordinates, (n_wheels, 3) [m]."""
-        origins = (pose.origin for pose in self.carriers())
-        return np.array(ca.evalf(ca.horzcat(*origins))).T
+        return np.array(ca.evalf(ca.horzcat(*(pose.origin for pose in self.carriers())))).T
 
     @property
     def trail(self) -> float:

@@ -60,6 +60,7 @@ MAX_RECORD = 4096  # largest size of a point [bytes]
 GROUND, NOISE = 2, (7, 18)  # classes of points in LAS files
 POINTS_PER_CELL = 4.0  # default mean number; with random points, one cell in 55 is empty
 ROUGH = 0.25  # largest rounding of coordinates [distance of points]
+MANY, THICKER = 100_000, 3.0  # points that show the upward axis, and least ratio of shares [1]
 COARSE = 64.0  # mean number of points in the cells that measure the covered area
 MARGIN = 4.0  # width of the border around a window that is also read, in cells
 MAX_UNNAMED = 16  # largest number of columns without names
@@ -256,8 +257,7 @@ def interpolate_points(
         ) from error
     i, j = (np.arange(each.start, each.stop, dtype=np.float64) for each in part)
     step = max(BLOCK // j.size, 1)
-    rows = [surface(i[k : k + step, None], j[None]) for k in range(0, i.size, step)]
-    return np.concatenate(rows)
+    return np.concatenate([surface(i[k : k + step, None], j[None]) for k in range(0, i.size, step)])
 
 
 def read_point_cloud(path: Path, ask: raster.Reading) -> Heights:
@@ -301,6 +301,7 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
     low, extent = points[:, :2].min(axis=0), np.ptp(points[:, :2], axis=0)
     if not extent.prod() > 0:
         refuse("points that span a surface", "that they lie on a line in x and y", "check the file")
+    _check_upward(points[:: len(points) // MANY + 1])
     cells = np.maximum(np.rint(extent / math.sqrt(COARSE * extent.prod() / len(points))), 1)
     a, b = np.minimum((points[:, :2] - low) / extent * cells, cells - 1).astype(np.int64).T
     covered = np.unique(a * int(cells[1]) + b).size / cells.prod()
@@ -350,6 +351,26 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
         *scale_facts(file.crs, nodes[0].mean(), nodes[1].mean(), TO_METRES),
     )
     return Heights(*nodes, unit * z, facts, name)
+
+
+def _check_upward(points: Array) -> None:
+    """Raise DataError if points are a surface over x and z, as where y points up, not over x, y."""
+    if not np.ptp(points, axis=0).all():
+        return
+    shares = []  # mean range of the heights in a cell over that of all, with z and with y upward
+    for up, flat in ((2, [0, 1]), (1, [0, 2])):
+        width = math.sqrt(POINTS_PER_CELL * np.ptp(points[:, flat], axis=0).prod() / len(points))
+        where = np.unique(points[:, flat] // width, axis=0, return_inverse=True)[1].reshape(-1)
+        heights = points[order := np.lexsort((points[:, up], where)), up]
+        ends = np.flatnonzero(np.diff(where[order], prepend=-1, append=-1))
+        shares.append(float(np.mean(heights[ends[1:] - 1] - heights[ends[:-1]]) / np.ptp(heights)))
+    if shares[0] > THICKER * shares[1]:
+        refuse(
+            "points whose z is upward",
+            "a surface over x and z, whose y is probably upward",
+            "turn it: pdal translate in.ply out.ply transformation "
+            "--filters.transformation.matrix='1 0 0 0  0 0 -1 0  0 1 0 0  0 0 0 1'",
+        )
 
 
 def _read(path: Path, near: Window | None) -> tuple[Array, Mask, int, Points]:

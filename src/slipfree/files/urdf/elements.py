@@ -184,8 +184,7 @@ def _link(element: Element, findings: tree.Findings, unread: list[str]) -> tree.
         if (tensor := inertial.first("inertia", "inertia")) is not None:
             xx, yy, zz, xy, xz, yz = (tensor.number(key, 0.0) for key in MOMENTS)
             moments = (xx, yy, zz, xy, xz, yz)
-            turn = rotation_of(turned)
-            inertia = in_axes(turn, moments) if is_inertia(moments) else None
+            inertia = in_axes(rotation_of(turned), moments) if is_inertia(moments) else None
         if (weighed := inertial.first("mass", "mass")) is not None:
             mass = weighed.number("value")
             if mass < 0:

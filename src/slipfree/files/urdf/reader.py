@@ -485,8 +485,7 @@ class _Coordinates:
         for key in ("lower", "upper", "rest"):
             value = role.keywords.get(key, 0.0)
             if joint.type != "prismatic" and (hint := vehicle_toml.degrees_words(value)):
-                message = f"{key}: expected radians ({hint}), found {value:g}"
-                self._findings.wrong(joint, message)
+                self._findings.wrong(joint, f"{key}: expected radians ({hint}), found {value:g}")
         kind: Any = role.kind
         words = {"words": f"joint {joint.name} of the URDF"}
         self.known[name] = Coordinate(name, kind, **{**words, **role.keywords})

@@ -208,8 +208,7 @@ class Tree:
     @cached_property
     def turning(self) -> tuple[UrdfJoint, ...]:
         """Continuous joints about level axes, such as those of wheels."""
-        every = self.joints.values()
-        return tuple(j for j in every if j.type == "continuous" and self.is_level(j))
+        return tuple(j for j in self.joints.values() if j.type == "continuous" and self.is_level(j))
 
     @cached_property
     def steered(self) -> frozenset[str]:

@@ -372,8 +372,7 @@ class InverseVerb(base.DriveVerb):
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including its solution method."""
-        is_collocated = _is_collocated(problem.spec, setup)
-        method = COLLOCATION if is_collocated else "integration"
+        method = COLLOCATION if _is_collocated(problem.spec, setup) else "integration"
         inputs = " ".join(setup.model.input_names)
         return super().attributes(problem, setup) | {METHOD: method, "inputs": inputs}
 

@@ -593,8 +593,7 @@ class PlanVerb(base.DriveVerb):
     def shown(self, result: base.Result, name: str) -> Driven:
         """Return the motion of a result with ground, vehicle, keep-out regions and plan."""
         driven = super().shown(result, name)
-        planned = poses_of_plan(result.trajectory, result.arrays, driven.terrain)
-        return driven._replace(plan=planned)
+        return driven._replace(plan=poses_of_plan(result.trajectory, result.arrays, driven.terrain))
 
     def marks(self, problem: Problem[Any], domain: plan_setup.Domain) -> dict[str, Any]:
         """Return keep-out regions, places, and the areas of places with extent."""

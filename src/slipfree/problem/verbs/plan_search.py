@@ -132,8 +132,7 @@ def find_plan(
         duration = duration_of(spec.plan.duration or resume.motion.duration)
     smoothed = list[Dae]()
     if resume is None and spec.model == "dynamics":
-        makers = momentum_models(problem, setup.vehicle, setup.terrain)[:-1]
-        smoothed = [make() for make in makers]
+        smoothed = [make() for make in momentum_models(problem, setup.vehicle, setup.terrain)[:-1]]
     elif resume is None and not has_exact_closure(setup.vehicle):
         world, slip = (setup.vehicle, setup.terrain), model_law(problem)
         models = (direct_kinematics(*world, slip=slip, smoothing=width) for width in SMOOTHINGS)
@@ -332,8 +331,7 @@ def make_robust(setup: Planning, first: Plan, progress: PlanProgress, watch: Wat
 
     def solve(tightening: Tightening, before: Plan) -> Plan:
         nonlocal latest
-        latest = solve_tightened(setup, tightening, before, progress)
-        return latest
+        return solve_tightened(setup, tightening, before, progress)
 
     done = dict[int, tuple[DisturbedRun, ...]]()
 
