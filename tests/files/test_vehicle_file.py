@@ -118,6 +118,7 @@ kind = "passive"|kind = "passive"\nupper = 45|radians (did you mean 45 degrees? 
 kind = "passive"|kind = "passive"\nlower = 1.0\nupper = 0.5|the lower stop must be below the upper
 at = [0, -0.25, 0]|at = [0, -250, 0]|at least -100 (did you mean millimetres? write -0.25), found
 at = [0, -0.25, 0]|at = [0, -0.25, 0]\nmass = 1e200|v.toml:26: wheels[1].mass (wheel 'right'):
+radius = 0.1\n|radius = 100\n|wheel caster in m that suits its place, at most 2.83, found 100 (did
 radius = 0.1\n|radius = 0.1\ntube = 0.2|expected at most the radius, 0.1 m (a ball), found 0.2
 frame = "rep103"|frame = "rep103"\ncenter_of_mass = [0, 0]|v.toml:3: center_of_mass[2]: expected a
 frame = "rep103"|frame = "rep103"\nweight = 3|v.toml:3: weight: expected one of name, frame, mass,

@@ -33,6 +33,7 @@ from slipfree.vehicle.shapes import SHAPES, Hull
 from slipfree.vehicle.tree import DRIVES, RATE, Drive, Wheel
 
 RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
+MAX_RADIUS = 3.0  # of a wheel over the sum of the distances of wheels and joints from parents [1]
 MAX_WHEEL_MASS = 4e5  # of a radius of 1 m: four balls of osmium, the densest material [kg]
 MAX_LENGTH = 100.0  # largest length in a vehicle [m]
 # rotation from axes x forward, y left (rep103) to axes x right, y forward
@@ -111,7 +112,13 @@ def misfits(draft: Draft, few: str = "add wheels") -> Iterator[tuple[str, str]]:
     With springs at all suspension coordinates, any number of them is valid, since the springs
     determine the pose of the vehicle.
     """
+    reach = sum(math.hypot(*part.at) for part in (*draft.joints, *draft.wheels))
     for wheel in draft.wheels:
+        if len(draft.wheels) > 2 and wheel.radius > (largest := MAX_RADIUS * reach):
+            expected = (
+                f"a radius of wheel {wheel.name} in m that suits its place, at most {largest:.3g}"
+            )
+            yield expected, f"{wheel.radius:g} (did you mean millimetres or centimetres?)"
         if wheel.mass > (most := MAX_WHEEL_MASS * wheel.radius**3):
             expected = f"a mass of wheel {wheel.name} in kg, at most {most:.3g} for its radius"
             yield expected, f"{wheel.mass:g} (did you mean grams? write {wheel.mass / 1000:g})"
@@ -610,7 +617,9 @@ def read_toml(file: File) -> Draft:
     faults += wrong
     if len(draft.wheels) == len(table.wheels):
         part = "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
-        faults += [toml.Fault((part,), *words) for words in misfits(draft)]
+        for expected, found in misfits(draft):
+            place = "wheels" if " of wheel " in expected else part
+            faults.append(toml.Fault((place,), expected, found))
     if faults:
         raise file.error(faults, draft)
     return draft
