@@ -112,7 +112,8 @@ def misfits(draft: Draft, few: str = "add wheels") -> Iterator[tuple[str, str]]:
     With springs at all suspension coordinates, any number of them is valid, since the springs
     determine the pose of the vehicle.
     """
-    reach = sum(math.hypot(*part.at) for part in (*draft.joints, *draft.wheels))
+    places = [joint.at for joint in draft.joints] + [wheel.at for wheel in draft.wheels]
+    reach = sum(math.hypot(*place) for place in places)
     for wheel in draft.wheels:
         if len(draft.wheels) > 2 and wheel.radius > (largest := MAX_RADIUS * reach):
             expected = (
@@ -374,8 +375,8 @@ def _rollers(value: Any) -> float | bool:
         return float(angle)
     raise toml.expected_error(
         "the angle from the wheel's axle to the axles of its rollers, not zero and at most 90 "
-        'degrees, such as "90 deg" for an omni wheel, "45 deg" or "-45 deg" for a mecanum wheel; '
-        "or false for a wheel without rollers"
+        'degrees, such as "90 deg" for an omni wheel or a ball, "45 deg" or "-45 deg" for a '
+        "mecanum wheel; or false for a wheel without rollers"
     )
 
 
