@@ -593,7 +593,7 @@ def test_figures_of_a_plan_are_complete_and_fit(run_plan, grid_plan, layers):
     assert list(drawn) == ["plan", "traversability"]
     assert len(drawn["plan"].axes) == 1 + 2 + 1
     note = " ".join(text.get_text() for text in drawn["plan"].texts).replace("\n", " ")
-    assert "deviates from the plan by x 1.2e-04 m, heading 3.0e-05 rad." in note
+    assert "deviates from the plan by x 0.12 mm, heading 0.0017 deg." in note
     for figure in drawn.values():
         figure.draw_without_rendering()
         axes = [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]

@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 
-from slipfree.core.facts import printed_unit, starting_with
+from slipfree.core.facts import starting_with
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.routing.traversability import Traversability, blocked_by
@@ -172,10 +172,10 @@ def plan_plots(
     if layers.limits.keep_out:
         drawings.append((1.0, partial(keep_out_distance, run, layers)))
     panels = [Panel(_beside(draw), ROW * height, has_legend=False) for height, draw in drawings]
+    shown = {"m": ".2g>mm", "rad": ".2g>deg"}  # units that people read
     missed = [
-        f"{style.words(name)} {gap.value:.1e} {unit}"
+        f"{style.words(name)} {gap:{shown.get(gap.unit, '.2g')}}"
         for name, gap in starting_with("plan_difference_", run.facts).items()
-        if (unit := printed_unit(gap.unit))
     ]
     note = f"Simulated with the planned inputs; deviates from the plan by {', '.join(missed)}."
 

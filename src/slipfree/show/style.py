@@ -180,7 +180,7 @@ def history(
     units = dict.fromkeys(run.columns[name].label.unit for name in names)
     what = words(names[0]) if len(names) == 1 else KINDS.get(next(iter(units)), "value")
     shown = row(names[0]).shown or ", ".join(map(printed_unit, units))
-    ax.set_ylabel(f"{textwrap.fill(what, 16)} [{shown}]")
+    ax.set_ylabel(f"{textwrap.fill(what, 14)} [{shown}]")
     if row(names[0]).is_residual:
         ax.set_yscale("log")
         if "tolerance" in run.statistics:
