@@ -193,11 +193,8 @@ def test_ten_recipes_are_short():
 def test_the_script_of_the_page_runs(capsys):
     assert len([line for line in SCRIPT.splitlines() if line.strip()]) < 25
     imports = [n for n in ast.walk(ast.parse(SCRIPT)) if isinstance(n, ast.Import | ast.ImportFrom)]
-    assert {alias.name for each in imports for alias in each.names} == {
-        "casadi",
-        "numpy",
-        "slipfree",
-    }
+    names = {alias.name for each in imports for alias in each.names}
+    assert names == {"casadi", "numpy", "slipfree"}
     names: dict = {}
     exec(SCRIPT, names)
     run, found = names["run"], names["found"]
@@ -278,12 +275,6 @@ def test_every_key_says_what_it_means_and_in_which_unit(table: type[Record]) -> 
 
 def test_all_tables_are_looked_at() -> None:
     names = {table.__name__ for table in TABLES}
-    assert names >= {
-        "TerrainTable",
-        "PowerLaw",
-        "DriverTable",
-        "GuideTable",
-        "KeepOut",
-        "StepClimbing",
-    }
+    some = "TerrainTable PowerLaw DriverTable GuideTable KeepOut StepClimbing"
+    assert names >= {*some.split()}
     assert len(names) > 35

@@ -386,6 +386,7 @@ TRUE |= {"center_of_mass_ahead": 0.03, "stiffness": 12.0, "friction": 0.6}
 LOG = (DATA / "fit_least_slip.toml").read_text()
 
 RUN = (DATA / "run_fitted.toml").read_text()
+RATES = [f"{end}_{side}_rate" for end in ("front", "rear") for side in ("left", "right")]
 
 
 def _estimates(path: str) -> dict[str, dict[str, str]]:
@@ -428,18 +429,13 @@ def _motion() -> tuple[sf.Vehicle, np.ndarray, np.ndarray]:
     return vehicle, times, rates
 
 
-def _simulated() -> tuple[sf.Vehicle, object, np.ndarray, np.ndarray]:
-    vehicle, times, (left, right) = _motion()
-    dae = sf.direct_kinematics(vehicle, sf.Analytic(lambda x, _: 0 * x))
-    inputs = {f"{w.name}_rate": left if "left" in w.name else right for w in vehicle.wheels}
-    run = sf.simulate(dae, sf.settle(dae, heading=0.4), dae.inputs(**inputs), times)
-    return vehicle, run, left, right
-
-
 @pytest.mark.slow
 def test_a_log_with_headings_from_x() -> None:
     """Rates are constant within windows; the row after a jump has the later rate."""
-    _, run, left, right = _simulated()
+    vehicle, times, (left, right) = _motion()
+    dae = sf.direct_kinematics(vehicle, sf.Analytic(lambda x, _: 0 * x))
+    inputs = {name: left if "left" in name else right for name in RATES}
+    run = sf.simulate(dae, sf.settle(dae, heading=0.4), dae.inputs(**inputs), times)
     rows = [
         [k, run.t[i], run["x"][i], run["y"][i], run["heading"][i] + np.pi / 2, left[j], right[j]]
         for k in range(20)
@@ -447,11 +443,7 @@ def test_a_log_with_headings_from_x() -> None:
         for i in range(j, j + 11)
     ]
     write_rows(Path("log.csv"), ["n", "time", "x", "y", "heading", "l", "r"], rows)
-    rates = "".join(
-        f"{end}_{side}_rate = '{side[0]}'\n"
-        for end in ("front", "rear")
-        for side in ("left", "right")
-    )
+    rates = "".join(f"{name} = '{name.split('_')[1][0]}'\n" for name in RATES)
     text = LOG.replace("window = 1.0", f"window = 'n'\n[data.rates]\n{rates}")
     Path("fit.toml").write_text(f"frame = 'rep103'\n{text}")
     shown = json.loads(printed("--json", "fit", "fit.toml", "--no-draw"))
@@ -465,8 +457,8 @@ def test_a_log_with_headings_from_x() -> None:
 def test_results_of_slipfree_are_logs() -> None:
     vehicle, times, _ = _motion()
     dae = sf.direct_kinematics(vehicle, sf.Analytic(lambda x, _: 0 * x))
-    speed = {"left": 2 + dae.t / 10, "right": 3 - dae.t / 20}
-    inputs = {f"{w.name}_rate": speed[w.name.split("_")[1]] for w in vehicle.wheels}
+    left, right = 2 + dae.t / 10, 3 - dae.t / 20
+    inputs = {name: left if "left" in name else right for name in RATES}
     run = sf.simulate(dae, sf.settle(dae), dae.inputs(**inputs), times)
     write("log.nc", run)
     write_mcap(Path("log.mcap"), run, vehicle)
@@ -476,11 +468,8 @@ def test_results_of_slipfree_are_logs() -> None:
         found = _estimates("fit.csv")
         assert_allclose(float(found["radius"]["value"]), 0.17, rtol=1e-4)
         assert_allclose(float(found["track"]["value"]), 0.6, rtol=1e-3)
-    Path("fit.toml").write_text(
-        LOG.replace("[unk", "[data.rates]\nfront_left_rate = 'a'\n[unk", 1).replace(
-            "log.csv", "log.mcap"
-        )
-    )
+    text = LOG.replace("[unk", "[data.rates]\nfront_left_rate = 'a'\n[unk", 1)
+    Path("fit.toml").write_text(text.replace("log.csv", "log.mcap"))
     assert "found no joint 'a' among front_right" in printed("fit", "fit.toml", code=2)
 
 
@@ -502,19 +491,15 @@ def test_errors_name_the_line(change: tuple[str, str], words: str) -> None:
     assert re.search(words, found), found
 
 
-STRAIGHT = "".join(f"{name}_rate = 'rate'\n" for name in ("front_left", "front_right"))
-STRAIGHT += "".join(f"{name}_rate = 'rate'\n" for name in ("rear_left", "rear_right"))
-
-
 def test_undetermined_unknowns_end_with_exit_code_1() -> None:
     """A straight drive says nothing about the track."""
     times = np.arange(0, 20.05, 0.1)
     y = 0.17 * (2 * times + 1 - np.cos(times)) + np.random.default_rng(0).normal(0, 1e-3, 201)
     rows = zip(times, 0 * times, y, 0 * times, 2 + np.sin(times), strict=True)
     write_rows(Path("log.csv"), ["t", "x", "y", "heading", "rate_rad_s"], rows)
-    Path("fit.toml").write_text(
-        LOG.replace("prior = [0.57, 0.3]\n", "").replace("[unk", f"[data.rates]\n{STRAIGHT}[unk", 1)
-    )
+    rates = "".join(f"{name} = 'rate'\n" for name in RATES)
+    text = LOG.replace("prior = [0.57, 0.3]\n", "")
+    Path("fit.toml").write_text(text.replace("[unk", f"[data.rates]\n{rates}[unk", 1))
     shown = printed("fit", "fit.toml", "--no-draw", "--write", "v.toml", code=1)
     assert re.search(r"track .*as its prior: not determined by these data\)", shown)
     assert "no information on track; no vehicle was written" in shown
@@ -531,11 +516,8 @@ def test_vehicles_of_the_catalogue_are_written(name: str) -> None:
     wheels = tuple(replace(wheel, axle=unit_vector(wheel.axle)) for wheel in vehicle.wheels)
     assert tuple(replace(w, axle=unit_vector(w.axle)) for w in found.wheels) == wheels
     assert sorted(found.joints, key=str) == sorted(vehicle.joints, key=str)
-    assert (found.name, found.coordinates, found.body) == (
-        vehicle.name,
-        vehicle.coordinates,
-        vehicle.body,
-    )
+    for field in ("name", "coordinates", "body"):
+        assert getattr(found, field) == getattr(vehicle, field)
 
 
 TIMES = np.linspace(0, 20, 201)
@@ -590,9 +572,8 @@ def test_logs_without_a_problem_file_over_a_map() -> None:
     fitted = json.loads(printed("--json", "fit", "a.csv", *own, *["--predict", "b.csv"] * 2))
     names = {each["name"] for each in fitted["estimates"]}
     assert {"radius_left", "track", "stiffness", "friction", "turn_slope"} <= names
-    assert [each["position_rms"] < 0.05 for each in fitted["errors"] if each["duration"] == 2] == [
-        True
-    ]
+    (error,) = [each["position_rms"] for each in fitted["errors"] if each["duration"] == 2]
+    assert error < 0.05
     further = ["--predict", "b.csv", "--no-draw"]
     again = printed("--json", "fit", "fit.nc", *further, "b.csv", "-o", "p.csv")
     assert json.loads(again)["errors"] == fitted["errors"]

@@ -103,12 +103,8 @@ def test_a_grid_with_seeds(file):
     assert [run.values for run in runs] == [("1",)] * 3 + [("2",)] * 3
     assert [run.seeds for run in runs] == [(10, 13), (11, 14), (12, 15)] * 2
     assert runs[4].number == 5
-    assert runs[4].settings == (
-        *error,
-        f"{SPEED}=2",
-        "terrain.synthetic.power_law.seed=11",
-        "terrain.error.seed=14",
-    )
+    seeds = (f"{key}={seed}" for key, seed in zip(sweep.seeds, (11, 14), strict=True))
+    assert runs[4].settings == (*error, f"{SPEED}=2", *seeds)
 
 
 def test_a_dry_run_says_what_would_be_run(file):

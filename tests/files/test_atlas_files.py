@@ -133,11 +133,7 @@ def test_verdicts_have_three_values():
     bands = {name: Band(Label(name, "1", ""), values) for name, values in columns.items()}
     poses = Atlas(np.zeros(1), np.zeros(1), np.arange(4.0), bands, ("stands", "falls"))
     found = verdicts(poses, friction=0.6, within={})
-    assert [found.reasons[code] for code in found.codes.ravel()] == [
-        "stands",
-        UNDECIDED,
-        SLIDES,
-        "falls",
-    ]
+    reasons = [found.reasons[code] for code in found.codes.ravel()]
+    assert reasons == ["stands", UNDECIDED, SLIDES, "falls"]
     assert found.allowed == 0.25
     assert found.reasons[found.limit.item()] == "falls"  # the first of equally frequent ones

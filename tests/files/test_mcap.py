@@ -81,12 +81,8 @@ def _numbers(vector, names="xyz"):
 def test_two_libraries_read_the_numbers_of_the_motion(drive, library):
     folder, run = drive
     found, exact = _read(folder / "out.mcap", library), {"rtol": 0, "atol": 1e-12}
-    assert set(found) == {
-        "/path",
-        "/tf",
-        "/joint_states",
-        *(f"/slip/{wheel}" for wheel in run.wheels),
-    }
+    slips = {f"/slip/{wheel}" for wheel in run.wheels}
+    assert set(found) == {"/path", "/tf", "/joint_states"} | slips
     times = [time for time, _ in found["/tf"]]
     assert_allclose(np.array(times) / 1e9, run.t, rtol=0, atol=5e-10)
     places = np.column_stack([run[name] for name in "xyz"])

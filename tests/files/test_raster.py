@@ -205,14 +205,11 @@ def test_holes_scales_and_offsets_of_a_geotiff(tmp_path):
     assert dict(found.facts)["ground holes"].startswith("1 of 1280 nodes have no height")
     found = read_map(path, fill="linear")
     assert found.grid.holes is None
-    assert (
-        "1 nodes in 1 holes, the largest 0.25 x 0.25 m" in dict(found.facts)["ground holes filled"]
-    )
+    facts = dict(found.facts)
+    assert "1 nodes in 1 holes, the largest 0.25 x 0.25 m" in facts["ground holes filled"]
     assert_allclose(found.grid.z[0], 3 + 0.01 * rows[::-1, 0], rtol=1e-15)
-    assert (
-        dict(found.facts)["ground map heights"]
-        == "values of the file x 0.01 + 3, unit not stated: taken as metres" + FEET
-    )
+    words = "values of the file x 0.01 + 3, unit not stated: taken as metres"
+    assert facts["ground map heights"] == words + FEET
 
 
 def test_tiles_in_degrees(tmp_path):

@@ -550,11 +550,8 @@ def test_the_written_completion_has_all_guesses(parts, tmp_path):
     out = tmp_path / "full.toml"
     invoke("vehicle", file, "--write", out, code=0)
     again = read_vehicle(out)
-    assert (again.wheels, again.coordinates, again.joints) == (
-        guessed.wheels,
-        guessed.coordinates,
-        guessed.joints,
-    )
+    for field in ("wheels", "coordinates", "joints"):
+        assert getattr(again, field) == getattr(guessed, field)
     assert not notes(again)
     assert "{  }" not in out.read_text()
     assert "--force" in refused("vehicle", file, "--write", out)

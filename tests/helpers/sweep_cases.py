@@ -39,7 +39,7 @@ def begin_sweep(folder: Path, *words: str) -> subprocess.Popen[str]:
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-    log, end = folder / "out" / LOG, time.monotonic() + 60
+    log, end = folder / "out" / LOG, time.monotonic() + 600
     while not log.exists() or log.read_bytes().count(b"\n") < 3:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < end

