@@ -171,10 +171,8 @@ def test_early_ends_and_bad_input_in_json() -> None:
     assert found["errors"] == [f"{title}; p.nc contains the result so far"]
     assert found["facts"]["outcome"] == f"{title}: {found['result']['stop']['words']}"
     found = _json("check", "p.toml", "--set", "time.step=0", "--set", "solver.tol=1", code=2)
-    assert [each.split(":")[0] for each in found["errors"]] == [
-        "--set time.step",
-        "--set solver.tol",
-    ]
+    places = [each.split(":")[0] for each in found["errors"]]
+    assert places == ["--set time.step", "--set solver.tol"]
     assert _json("info", "no.nc", code=2)["errors"][0].startswith("no.nc: expected a result file")
 
 

@@ -50,10 +50,8 @@ def test_run_tells_what_the_motion_takes():
     assert told["mass"] == "36 kg, weight 353.2 N"
     assert told["gravity"] == "9.81 m/s^2 (earth)"
     assert told["ground friction"] == "0.6"
-    assert (
-        told["slip"].partition("; ")[2]
-        == "a quasi-static prediction by the wheel-ground law 'coulomb'"
-    )
+    law = "a quasi-static prediction by the wheel-ground law 'coulomb'"
+    assert told["slip"].partition("; ")[2] == law
     assert told["friction"].startswith("utilisation 0.")
     assert told["friction"].endswith(" of a coefficient of 0.6 by the law 'coulomb'")
     written = netcdf.read(Path("p.nc"))

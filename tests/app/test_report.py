@@ -284,10 +284,8 @@ def test_what_can_be_said_of_what_is_no_vehicle(tmp_path):
     assert "not connected to the platform: wheel four, on hub" in result.stdout
     assert "1: a; at most 2" in result.stdout
     faults = [line.partition("v.toml:")[2] for line in result.stderr.splitlines()]
-    assert [fault.partition(": expected")[0] for fault in faults] == [
-        "6: joints[1].parent (joint 'q')",
-        "13: wheels[3].parent (wheel 'four')",
-    ]
+    places = [fault.partition(": expected")[0] for fault in faults]
+    assert places == ["6: joints[1].parent (joint 'q')", "13: wheels[3].parent (wheel 'four')"]
 
 
 def test_a_caster_without_trail_is_named(tmp_path):

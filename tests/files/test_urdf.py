@@ -318,10 +318,8 @@ def test_inertials_and_origins_may_be_missing(tmp_path):
     vehicle = read_vehicle(tmp_path / "cart.toml")
     assert vehicle.mass == 0
     assert vehicle.wheels[0].at == (0.0, 0.0, 0.0)
-    assert any(
-        note.startswith("without mass, since the URDF does not contain it: base_link")
-        for note in vehicle.notes
-    )
+    words = "without mass, since the URDF does not contain it: base_link"
+    assert any(note.startswith(words) for note in vehicle.notes)
 
 
 def test_many_errors_are_counted_instead_of_listed(tmp_path):

@@ -177,10 +177,8 @@ def test_elevation_equals_height():
     assert found.shape == (100, 200)
     assert_allclose(found.ravel(), expected, rtol=0, atol=1e-13 * size)
     assert_allclose(ground.elevation(ground.grid.x[:, None], ground.grid.y), ground.grid.z)
-    assert np.isnan(ground.elevation(np.array([np.nan, 0.0]), np.array([2.0, 2.0]))).tolist() == [
-        True,
-        False,
-    ]
+    unknown = ground.elevation(np.array([np.nan, 0.0]), np.array([2.0, 2.0]))
+    assert np.isnan(unknown).tolist() == [True, False]
 
 
 def test_a_nan_or_endless_point_gives_nan_not_a_crash():
