@@ -88,7 +88,7 @@ looks = {"color": "black", "lw": 2.5}, {"color": style.PALETTE[1], "lw": 1.5, "l
 figure = style.figure(7.2, 4.4)
 for k, (words, outcome) in enumerate(outcomes.items()):
     ax = figure.add_subplot(1, 2, k + 1, title=words, aspect="equal")
-    ground_drawing.shade(*ground_drawing.patch(ground, ground.domain, ground_drawing.HEATMAP), ax)
+    ground_drawing.relief(*ground_drawing.patch(ground, ground.domain, ground_drawing.HEATMAP), ax)
     for motion, look in ((outcome.trajectory, looks[0]), (driven[words], looks[1])):
         ax.plot(motion["x"], motion["y"], **look)
     ax.set_xlabel("east x [m]")

@@ -19,13 +19,14 @@ from scipy.interpolate import RectBivariateSpline
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.core.records import Array, Mask
+from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.regions import Region
 from slipfree.show import style
 from slipfree.show.meshes import clipped
 from slipfree.show.plots import Plot, PlottedDrive
 from slipfree.show.style import COLUMN, MM, PAGE
 from slipfree.terrain.base import Grid, Terrain
-from slipfree.terrain.solids import Prism, section_of
+from slipfree.terrain.solids import Prism, Profile, section_of
 
 HEATMAP = 601  # samples of a drawn map along an axis
 DIGITS = 9  # decimals of drawn heights, so that flat ground looks flat [m]
@@ -268,25 +269,27 @@ def side_plot(drive: PlottedDrive) -> Plot | None:
     def make() -> Figure:
         height, length = (float(np.ptp(run[f"center_{axis}"])) + 0.2 for axis in "zy")
         figure = style.figure(PAGE, PAGE * height / length + 20 * MM)
-        ax = figure.subplots()
-        for solid in section.solids:
-            ax.add_patch(Polygon(solid.points, fc="0.85", ec="0.85", lw=0.3, zorder=0))
-        y, z = run["center_y"], run["center_z"]
-        away = np.hypot(run["contact_y"] - y, run["contact_z"] - z)
-        order = np.argsort(y[0])
-        ax.plot(y, z, color="0.5", lw=0.6, zorder=2)
-        for number, k in enumerate(np.linspace(0, run.t.size - 1, POSES).astype(int)):
-            look: dict[str, Any] = {"color": colormaps["viridis"](LATEST * number / (POSES - 1))}
-            words = f"{run.t[k]:.3g} s"
-            ax.plot(
-                y[k, order], z[k, order], "o-", lw=1.3, ms=2.6, mfc="white", label=words, **look
-            )
-            for place in zip(y[k], z[k], np.nanmedian(away, axis=0), strict=True):
-                ax.add_patch(Circle(place[:2], place[2], fill=False, lw=0.9, zorder=3, **look))
-        radius = float(np.nanmedian(away))
-        ax.set(xlabel="forward $y$ [m]", ylabel="height $z$ [m]", aspect="equal")
-        ax.set_xlim(y.min() - radius - ROOM, y.max() + radius + ROOM)
-        ax.set_ylim(z.min() - radius - ROOM, z.max() + radius + ROOM)
+        side_view(run, section, ax := figure.subplots())
         return style.finished(figure, run, [ax])
 
     return Plot("side", "Vehicle and solids from the side, at several times.", make)
+
+
+def side_view(run: Trajectory, section: Profile, ax: Axes, count: int = POSES) -> None:
+    """Draw solids, paths of the wheels, and a planar vehicle at ``count`` times."""
+    for solid in section.solids:
+        ax.add_patch(Polygon(solid.points, fc="0.85", ec="0.85", lw=0.3, zorder=0))
+    y, z = run["center_y"], run["center_z"]
+    away = np.hypot(run["contact_y"] - y, run["contact_z"] - z)
+    order = np.argsort(y[0])
+    ax.plot(y, z, color="0.5", lw=0.6, zorder=2)
+    for number, k in enumerate(np.linspace(0, run.t.size - 1, count).astype(int)):
+        look: dict[str, Any] = {"color": colormaps["viridis"](LATEST * number / max(1, count - 1))}
+        words = f"{run.t[k]:.3g} s"
+        ax.plot(y[k, order], z[k, order], "o-", lw=1.3, ms=2.6, mfc="white", label=words, **look)
+        for place in zip(y[k], z[k], np.nanmedian(away, axis=0), strict=True):
+            ax.add_patch(Circle(place[:2], place[2], fill=False, lw=0.9, zorder=3, **look))
+    radius = float(np.nanmedian(away))
+    ax.set(xlabel="forward $y$ [m]", ylabel="height $z$ [m]", aspect="equal")
+    ax.set_xlim(y.min() - radius - ROOM, y.max() + radius + ROOM)
+    ax.set_ylim(z.min() - radius - ROOM, z.max() + radius + ROOM)
