@@ -21,7 +21,7 @@ from numpy.testing import assert_allclose
 import slipfree as sf
 from helpers.cases import DATA, PROBLEMS
 from helpers.commands import error_of, printed, refused, refuses, sets
-from helpers.drives import HALF, HILL, drives
+from helpers.drives import HALF, HILL, Truth, drives
 from slipfree import DataError, catalog
 from slipfree.core.records import Array
 from slipfree.files.logs import MotionLog, check_motion, rate_ratios
@@ -554,6 +554,37 @@ def test_missing_columns_of_logs_without_a_problem_file() -> None:
     Path("car.toml").write_text(vehicle_text(sf.catalog.ackermann(), []))
     found = printed("fit", "log.csv", "--vehicle", "car.toml", code=2)
     assert "data.rates, as in --set data.columns.x=east, or hold joints that do not move" in found
+
+
+@pytest.mark.parametrize(
+    ("half_base", "half_track", "unit"),
+    [(0.1, 0.125, "m/s"), (0.75, 0.6, "rad/s")],
+)
+def test_size_of_a_vehicle_that_is_not_given(
+    half_base: float, half_track: float, unit: str
+) -> None:
+    """A log determines the effective track, not the wheelbase; bad predictions are no success."""
+    size = half_base**2 + half_track**2
+    truth = Truth(1.0, 1.0, 0.6, 8.0, 0.6 * size, half_base / 10, 0.0, half_base, half_track)
+    t, sides, place, heading = drives(1, truth, duration=24.0, speed=2 * half_track)
+    radius = 0.3 if unit == "rad/s" else 1.0
+    columns = [t, place.real[:, 0], place.imag[:, 0], heading[:, 0], *sides[:, :, 0].T / radius]
+    rows, head = np.column_stack(columns), ["t", "x", "y", "heading", "left", "right"]
+    rows[:, 1:4] += np.random.default_rng(0).normal(size=(len(t), 3)) * [0.002, 0.002, 0.005]
+    write_rows(Path("log.csv"), head, rows.tolist())
+    own = ["log.csv", "--no-draw", *sets("frame=rep103", f"data.unit={unit}")]
+    shown = json.loads(printed("--json", "fit", *own))
+    found = {each["name"]: each for each in shown["estimates"]}
+    true = {"effective_track": 2 * size / half_track, "radius_left": radius}
+    for name, value in true.items():
+        assert_allclose(found[name]["value"], value, rtol=0.03)
+    assert "track" not in found
+    assert shown["facts"]["outcome"] == "complete"
+    assert shown["errors"][0]["position_rms"] < 0.02 * 2 * 2 * half_track
+    rows[:, 1] += half_track * np.sin(1.5 * t)
+    write_rows(Path("log.csv"), head, rows.tolist())
+    words = printed("fit", *own, code=1)
+    assert re.match(r"outcome +inaccurate: errors of [1-9]\d %", words)
 
 
 def test_logs_without_a_problem_file_over_a_map() -> None:

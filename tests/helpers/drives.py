@@ -30,6 +30,8 @@ class Truth(NamedTuple):
     gyration: float = 0.3  # [m^2]
     ahead: float = 0.05  # centre of mass [m]
     turn_slope: float = 0.0
+    half_base: float = HALF  # [m]
+    half_track: float = HALF
 
 
 TRUTH = Truth()
@@ -71,10 +73,11 @@ def rates_of(state: Array, sides: Array, truth: Truth, size: float) -> Array:
     mean = speeds.mean(axis=0)
     speeds = mean + (speeds - mean) * factor
     force, moment = -GRAVITY * (along + 1j * left), 0.0
-    for x in (HALF, -HALF):
-        for side, y in enumerate((HALF, -HALF)):
+    base, width = truth.half_base, truth.half_track
+    for x in (base, -base):
+        for side, y in enumerate((width, -width)):
             r = x - truth.ahead + 1j * y
-            load = GRAVITY * cosine * (1 + truth.ahead * x / HALF**2) / 4
+            load = GRAVITY * cosine * (1 + truth.ahead * x / base**2) / 4
             slip = v + 1j * w * r - speeds[side]
             size_of_slip = np.hypot(np.abs(slip), truth.friction / truth.stiffness)
             own = -truth.friction * load * slip / size_of_slip

@@ -70,13 +70,8 @@ def fit(
         from slipfree.problem.wheel_test import is_wheel_file
 
         is_binary = file.suffix.lower() in (".nc", ".mcap")
-        if not is_binary and is_wheel_file(file):
+        if not predict and not is_binary and is_wheel_file(file):
             work = _soil_fit(file, settings or [])
-            if predict:
-                raise ModelError(
-                    f"{file}: expected a problem file for --predict, found a wheel file; omit "
-                    "--predict"
-                )
         else:
             work = _log_fit(files, settings or [], (ground, vehicle), trust, predict or [])
         if write and work.is_without_vehicle:
@@ -110,7 +105,7 @@ def _write_fit(
         if write is not None and not result.undetermined:
             write_new_file(result.text(), write, force)
             files_written.append(write)
-        is_interrupted = interrupt_requested() or result.is_interrupted
+        is_interrupted = interrupt_requested() or result.exit_code == INTERRUPTED
     console.print_facts(result.facts)
     for key, objects in result.objects.items():
         console.add_json(key, partial(list, objects))
@@ -123,11 +118,12 @@ def _write_fit(
     if result.undetermined:
         unwritten = f"; no {work.subject} was written" if write else ""
         console.print_error(
-            f"{file}: expected {work.data} all unknowns, found no information on "
-            f"{', '.join(result.undetermined)}{unwritten}; give priors, fit fewer unknowns, or "
-            f"use {work.remedy}"
+            f"{file}: expected data that determine all unknowns, found no information on "
+            f"{', '.join(result.undetermined)}{unwritten}; give priors, fit fewer unknowns, or use "
+            "more varied data"
         )
         raise typer.Exit(STOPPED)
+    raise typer.Exit(result.exit_code)
 
 
 class _FitResult(NamedTuple):
@@ -139,7 +135,7 @@ class _FitResult(NamedTuple):
     text: Callable[[], str]
     plot: Callable[[str], Plot]
     undetermined: tuple[str, ...] = ()
-    is_interrupted: bool = False
+    exit_code: int = 0
     save: Callable[..., None] | None = None  # of the fit
 
 
@@ -150,8 +146,6 @@ class _FitWork(NamedTuple):
     ends: tuple[str, ...]  # of the names of further tables
     solve: Callable[[], _FitResult]
     subject: str = ""  # what is fitted
-    data: str = ""
-    remedy: str = ""
     is_without_vehicle: bool = False
 
 
@@ -208,7 +202,7 @@ def _log_fit(
             lambda: vehicle_text(*verb.fitted_vehicle(problem, fitted)) if fitted else "",
             partial(fit_plot, scores=result.scores),
             () if fitted is None else verb.undetermined(problem, fitted),
-            is_interrupted=fitted is not None and fitted.estimate.is_interrupted,
+            exit_code=result.outcome.exit_code,
             save=partial(verb.save_fit, problem=problem, settings=settings, result=result)
             if fitted
             else None,
@@ -216,9 +210,8 @@ def _log_fit(
 
     ends = ("windows",) if contents is not None else ("errors", "windows")
     inputs = [*files_read(problem), *files, *predict]
-    words = "vehicle", "logs that determine", "logs with other manoeuvres"
     is_bare = problem.spec.vehicle is None or contents is not None
-    return _FitWork(inputs, ends, solve, *words, is_without_vehicle=is_bare)
+    return _FitWork(inputs, ends, solve, "vehicle", is_without_vehicle=is_bare)
 
 
 def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
@@ -237,11 +230,10 @@ def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
             partial(wheel_test.soil_text, fitted),
             lambda name: soil_plot(name, fitted.runs.values, fit),
             tuple(name for name in fit.estimate.undetermined if name not in fitted.priors),
-            fit.estimate.is_interrupted,
+            INTERRUPTED if fit.estimate.is_interrupted else 0,
         )
 
-    words = "soil", "runs that determine", "runs at other slip ratios, slip angles or loads"
-    return _FitWork(contents.files, ("points",), solve, *words)
+    return _FitWork(contents.files, ("points",), solve, "soil")
 
 
 def wheel(

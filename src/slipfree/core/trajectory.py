@@ -45,7 +45,7 @@ class Outcome(Enum):
     LIMIT = "limit reached: a limit of the vehicle, the ground or the model ends the motion early"
     NO_EQUILIBRIUM = "no equilibrium: the forces that friction allows cannot continue the motion"
     INFEASIBLE = "infeasible: the search ended without a plan that meets all constraints"
-    INACCURATE = "inaccurate: the simulation deviates from the plan by more than the tolerance"
+    INACCURATE = "inaccurate: a simulated plan or a predicted log deviates by more than allowed"
     TIME_LIMIT = "time limit reached: the search ended without a plan; what it found is kept"
     INTERRUPTED = "interrupted: Ctrl-C or a progress callable ended the run; its samples are kept"
     SOLVER_FAILURE = "solver failure: the solver found no solution; earlier samples are kept"

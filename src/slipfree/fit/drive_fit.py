@@ -191,6 +191,8 @@ def fit_drives(
             break
         if deviations is None:
             found = np.median(np.abs(errors(values).values), axis=0) / NORMAL_MEDIAN
+            # a vehicle that does not move has no errors across: half of those along count
+            found[:2] = np.maximum(found[:2], found[:2].max() / 2)
             spread, before = np.maximum(found, LEAST_DEVIATION), spread
             if np.allclose(spread, before, rtol=SAME_DEVIATION):
                 break
@@ -295,6 +297,11 @@ class Score(NamedTuple):
     def coverage(self) -> Array:
         """Shares of the errors along, across and of the course inside their intervals."""
         return np.asarray((np.abs(np.array(self.errors)) <= self.reach).mean(axis=1))
+
+    @property
+    def share(self) -> float:
+        """Root mean square of the errors of positions over the mean path."""
+        return rms(self.errors.position) / max(float(self.windows.length.mean()), 1e-9)
 
     def slip(self) -> list[tuple[float, float, int, float]]:
         """Return limits [rad], number of straight windows, and error of the slip by class."""

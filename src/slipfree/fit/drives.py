@@ -110,6 +110,29 @@ def age_of_poses(log: DriveLog) -> float | None:
     return float(ages[int(np.mean(missed, axis=1).argmin())])
 
 
+def size_of(logs: Sequence[DriveLog]) -> tuple[float, float]:
+    """Return travel over the integral of the inputs, and the effective track of a vehicle [m].
+
+    Both are rough: the upper quartile of travel, which slip reduces, and a regression of turns,
+    over a second each.
+    """
+    parts = list[Array]()
+    for log in logs:
+        step = chord(log.dt)
+        rows = np.flatnonzero((log.piece[step:] == log.piece[:-step]) & log.good[step:])
+        course = courses(log) if log.heading is None else unit_vectors(log.heading)
+        turn = np.angle(course[rows + step] * course[rows].conj())
+        sums = np.cumsum(log.inputs @ [[0.5, -1], [0.5, 1]], axis=0) * log.dt
+        travel, driven = (each[rows + step] - each[rows] for each in (log.place, sums))
+        parts.append(np.column_stack([np.abs(travel), turn, driven]))
+    every = np.concatenate(parts)
+    travel, turn, driven, difference = every[np.isfinite(every).all(axis=1)].T
+    is_fast = np.abs(driven) >= max(float(np.median(np.abs(driven))), 1e-9)
+    ratio = float(np.quantile(travel[is_fast] / np.abs(driven[is_fast]), 0.75))
+    track = ratio * (difference @ difference) / max(float(difference @ turn), 1e-9)
+    return ratio, float(np.clip(track, 0.05, 20.0))
+
+
 def held_for(changes: Mask) -> int:
     """Return the usual number of samples between new values; 1 if each sample is new."""
     rows = np.flatnonzero(changes)
@@ -314,6 +337,7 @@ class Model(NamedTuple):
     radii: Array  # shape (w,): nominal radius of each wheel [m], or 1 for speeds of sides
     wheels: tuple[str, ...]  # names
     half_track: float  # nominal [m]
+    effective_track: float = 1.0  # nominal, of vehicles whose dimensions are not known [m]
 
     @property
     def start(self) -> Array:
@@ -486,9 +510,10 @@ class Predictor:
         receiver, tilt = q["sensor_ahead"] - 1j * q["sensor_right"], None
         if self._slopes:
             tilt = _PathSlopes(self, self._slopes, receiver, q["sensor_heading"])
+        size = q["effective_track"] / self.model.effective_track
         constants = Constants(
             lanes.radius,
-            q["track"] / (2 * self.model.half_track),
+            size * q["track"] / (2 * self.model.half_track),
             q["center_of_mass_ahead"] - 1j * q["center_of_mass_right"],
             q["stiffness"],
             q["gyration"],
@@ -496,6 +521,7 @@ class Predictor:
             q["rolling"],
             q["anisotropy"],
             q["turn_slope"],
+            length=size,
             inertia=float(self.model.fixed.get("inertia", 1.0)),
         )
         # inputs after delay and lag, shape (q, m or 1, rows)

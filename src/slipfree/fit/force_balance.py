@@ -74,6 +74,7 @@ class Constants(NamedTuple):
     rolling: Array  # factor of all radii on a surface [1]
     anisotropy: Array  # friction across over that along the wheels [1]
     turn_slope: Array  # exponent of the influence of the slope on differences of rim speeds [1]
+    length: Array | float = 1.0  # factor of all longitudinal distances [1]
     inertia: float = 1.0  # factor of all accelerations: 0 for quasi-statics [1]
     gravity: float = EARTH_GRAVITY  # [m/s^2]
 
@@ -187,7 +188,7 @@ class _WheelForces:
     def __init__(self, chassis: Chassis, constants: Constants) -> None:
         c = constants
         place, direction, free = (each[:, None] for each in chassis[:3])
-        x, y = place.real - c.center.real, c.track * place.imag - c.center.imag
+        x, y = c.length * place.real - c.center.real, c.track * place.imag - c.center.imag
         self.x, self.y, self.constants, self.signal = x, y, c, chassis.signal
         # least squares: shares with the sum one and no moments, and no work of the suspension
         sums = np.broadcast_arrays(np.ones_like(x), x, y, *chassis.lift.T[..., None, None])

@@ -211,11 +211,6 @@ KinematicDae = Dae[
 ]
 
 
-def state_coordinates(vehicle: Vehicle) -> tuple[str, ...]:
-    """Return the names of the coordinates that are differential states."""
-    return tuple(c.name for c in vehicle.coordinates if c.kind != "suspension")
-
-
 def is_determinate(vehicle: Vehicle) -> bool:
     """Return whether equilibrium alone determines the contact forces, three per wheel.
 
@@ -446,7 +441,7 @@ def contact_frames(
 def values_of(state: State) -> dict[str, ca.SX]:
     """Return the values of all coordinates of a vehicle, by name [rad, m]."""
     vehicle, joints = state.vehicle, (*state.x.joints, *state.position.suspension)
-    names = (*state_coordinates(vehicle), *(c.name for c in vehicle.of("suspension")))
+    names = [c.name for c in sorted(vehicle.coordinates, key=lambda c: c.kind == "suspension")]
     return dict(zip(names, joints, strict=True))
 
 

@@ -143,11 +143,6 @@ def words_of(name: str) -> list[str]:
     return re.findall("[a-z]+", re.sub("([a-z0-9])([A-Z])", r"\1 \2", name).lower())
 
 
-def names_of(element: Element) -> list[str]:
-    """Return the words of an element's text, such as the names of joints in a list."""
-    return re.split(r"[\s,;'\"\[\]]+", "".join(element.texts).strip())
-
-
 def plugins(robot: Element) -> tuple[Plugin, ...]:
     """Return the plugins of simulators in a robot."""
     found: list[Plugin] = []
@@ -158,7 +153,8 @@ def plugins(robot: Element) -> tuple[Plugin, ...]:
             for part in plugin.everything():
                 tag = part.tag.lower().replace("_", "")
                 if "encoder" not in tag:
-                    words |= dict.fromkeys(names_of(part), tag)
+                    names = re.split(r"[\s,;'\"\[\]]+", "".join(part.texts).strip())
+                    words |= dict.fromkeys(names, tag)
                 if tag in RADIUS:
                     radius = RADIUS[tag] * _number("".join(part.texts)) or radius
             name = " ".join(plugin.attributes.get(key, "") for key in ("filename", "name"))

@@ -55,6 +55,7 @@ from slipfree.fit.drives import (
     by_runs,
     conditions,
     held_for,
+    size_of,
     without_holds,
 )
 from slipfree.fit.estimate import BALANCE, WEAK, Estimate, Unknown
@@ -73,7 +74,8 @@ SHOWN_WEIGHT = 0.2  # smallest weight of an unknown that is named in a direction
 JUMP = 0.25  # of positions against measured velocities over a second [m/s]
 LEAST_SPEED = 0.1  # commanded speed from which the vehicle drives in one direction [m/s]
 FURTHER_MAPS = 4  # with further errors
-HALF, RADIUS = 0.4, 0.2  # half track and half wheelbase, and radius, without a vehicle [m]
+SQUARE = rigid_skid_steer(half_track=0.5, wheelbase=1.0, r1=0.0, r2=0.2)  # which is scaled
+MAX_SHARE = 0.1  # of errors of predictions in the path, for a usable fit
 MAX_STEP = 0.1  # longest default time between samples [s]
 MANOEUVRE = 20.0  # duration of parts of a log that are left out together [s]
 MAX_HOLD = 0.6  # of readings [s]
@@ -279,6 +281,14 @@ class FitResult(NamedTuple):
     predicted: list[DriveLog]
     rows: Lines
 
+    @property
+    def outcome(self) -> Outcome:
+        """Outcome: inaccurate if predictions err too much."""
+        if self.fit is not None and self.fit.estimate.is_interrupted:
+            return Outcome.INTERRUPTED
+        is_poor = any(score.share > MAX_SHARE for score in [*self.scores.values()][:1])
+        return Outcome.INACCURATE if is_poor else Outcome.COMPLETE
+
 
 class LogInputs(NamedTuple):
     """Vehicle of logs, and columns of its inputs: rates or sides, and commanded joints."""
@@ -323,10 +333,7 @@ def inputs_of(problem: Problem[Fit], paths: Sequence[Path] = ()) -> LogInputs:
                 raise ModelError(
                     "expected a vehicle with these inputs, found none; use data.columns.left, right"
                 )
-        with at(problem, ("constants", "track")):
-            half = spec.constants.get("track", 2 * HALF) / 2
-            made = rigid_skid_steer(half_track=half, wheelbase=2 * HALF, r1=0.0, r2=RADIUS)
-        return LogInputs(made, SIDES, (), own, are_speeds)
+        return LogInputs(SQUARE, SIDES, (), own, are_speeds)
     vehicle = build_vehicle(problem)
     commanded = tuple(each.name for each in vehicle.of("commanded"))
     rates = tuple(f"{wheel.name}_rate" for wheel in vehicle.wheels if wheel.driven)
@@ -343,44 +350,57 @@ def _is_text(path: Path) -> bool:
     return path.suffix.lower() not in (".nc", ".mcap")
 
 
+def quantities_of(problem: Problem[Fit]) -> tuple[str, ...]:
+    """Return the quantities of a fit: logs without a vehicle show its effective track only."""
+    other = "track" if problem.spec.vehicle is None else "effective_track"
+    return tuple(name for name in BALANCE if name != other)
+
+
 def own_unknowns(problem: Problem[Fit], names: Sequence[str]) -> list[Unknown]:
     """Return the unknowns of a problem; ``names`` are those of the wheels."""
-    found = list[Unknown]()
+    found, quantities = list[Unknown](), quantities_of(problem)
     for name, table in problem.spec.unknowns.items():
         with at(problem, ("unknowns", name)):
             found.append(own := Unknown(**{"name": name, "quantity": name, **given_values(table)}))
-            if own.quantity not in BALANCE:
-                raise ModelError(
-                    f"unknown {name!r}: expected one of the quantities {', '.join(BALANCE)}, found "
-                    f"{own.quantity!r}; correct it"
-                )
-            if wrong := [each for each in own.wheels if each not in names]:
-                raise ModelError(
-                    f"unknown {name!r}: expected wheels of the vehicle, {', '.join(names)}, found "
-                    f"{wrong[0]!r}; correct it"
-                )
+            checks = [("one of the quantities", own.quantity, quantities)]
+            for words, each, known in checks + [
+                ("one of the wheels", each, names) for each in own.wheels
+            ]:
+                if each not in known:
+                    raise ModelError(
+                        f"unknown {name!r}: expected {words} {', '.join(known)}, found {each!r}; "
+                        "correct it"
+                    )
     return found
 
 
 def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog]) -> Model:
     """Return the model with the usual unknowns and those of the problem."""
     spec, names = problem.spec, tuple(wheel.name for wheel in inputs.vehicle.wheels)
-    half, base = track(inputs.vehicle) / 2, np.ptp(logs[0].chassis.place.real) / 2
-    gyration = ((2 * half) ** 2 + (2 * base + 0.4) ** 2) / 12
-    fixed = {"gyration": gyration, "inertia": float(spec.model == "dynamics")} | spec.constants
-    problem.refuse(*name_errors(("constants",), spec.constants, tuple(BALANCE)))
-    is_known, unknowns = spec.vehicle is not None, list[Unknown]()
+    half, base = track(inputs.vehicle) / 2, float(np.ptp(logs[0].chassis.place.real)) / 2
+    gyration: float = ((2 * half) ** 2 + (2 * base + 0.4) ** 2) / 12
+    problem.refuse(*name_errors(("constants",), spec.constants, quantities_of(problem)))
+    is_known, unknowns, radii = spec.vehicle is not None, list[Unknown](), inputs.radii
+    limits = dict[str, tuple[float, float, tuple[float, float]]]()  # bounds and priors
+    ratio, wide = (1.0, 1.0) if is_known else size_of(logs)
+    if not is_known:
+        gyration = wide**2 / 16
+        limits["effective_track"] = wide / 3, 3 * wide, (wide, wide / 2)
+        limits["center_of_mass_ahead"] = -wide / 6, wide / 6, (0.0, wide / 10)  # between wheels
+        if not inputs.are_speeds:
+            radii = np.full_like(radii, ratio)
+            limits["radius"] = ratio / 2, 2 * ratio, (ratio, ratio / 5)
+    fixed = {"inertia": float(spec.model == "dynamics"), "gyration": gyration}
+    fixed |= {"effective_track": wide} | spec.constants
     for side, sign in zip(SIDES, (-1, 1), strict=True):
         wheels = tuple(name for name, place in inputs.driven.items() if sign * place > 0)
-        prior = None if is_known or spec.data.unit == "m/s" else (RADIUS, 0.14)
-        unknowns.append(Unknown(f"radius_{side}", "radius", wheels, prior=prior))
-    unknowns.append(Unknown("track", "track", prior=None if is_known else (2 * HALF, HALF)))
-    usual = ["stiffness", "gyration", "delay"]
+        unknowns.append(Unknown(f"radius_{side}", "radius", wheels, *limits.get("radius", ())))
+    usual = ["track" if is_known else "effective_track", "stiffness", "gyration", "delay"]
     has_headings = all(log.heading is not None for log in logs)
     usual += ["center_of_mass_ahead"] if has_headings else []
     usual += ["lag"] if spec.data.inputs == "commands" else []
     usual += ["turn_slope"] if spec.terrain is not None else []
-    unknowns += [Unknown(name, name) for name in usual]
+    unknowns += [Unknown(name, name, (), *limits.get(name, ())) for name in usual]
     for kind in ("friction", "rolling", *(["age"] if has_headings else [])):
         groups = sorted({getattr(log, BALANCE[kind].of) for log in logs})
         if len(groups) > 1:
@@ -396,17 +416,17 @@ def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog])
         ]
         unknowns.append(own)
     kept = tuple(each for each in unknowns if each.quantity not in spec.constants)
-    radii = np.full_like(inputs.radii, spec.constants.get("radius", inputs.radii))
-    model = Model(age_priors(kept, logs), fixed, radii, names, half)
+    radii = np.full_like(radii, spec.constants.get("radius", radii))
+    model = Model(age_priors(kept, logs), fixed, radii, names, half, 1.0 if is_known else 2.0)
     sought_of(model)  # errors of bounds
     return model
 
 
-def maps_of(problem: Problem[Fit]) -> tuple[Slopes | None, list[Slopes], Grid | None]:
+def maps_of(problem: Problem[Fit]) -> tuple[tuple[Slopes | None, list[Slopes]], Grid | None]:
     """Return the slopes of the ground, those with further errors of the map, and the map."""
     spec = problem.spec
     if spec.terrain is None:
-        return None, [], None
+        return (None, []), None
     grid = build_ground(cast("Any", problem)).grid
     further = list[Slopes]()
     if spec.map_error is not None:
@@ -414,7 +434,7 @@ def maps_of(problem: Problem[Fit]) -> tuple[Slopes | None, list[Slopes], Grid | 
         further = [
             Slopes(disturbed(grid, *error, seed), spec.smoothing) for seed in range(FURTHER_MAPS)
         ]
-    return Slopes(grid, spec.smoothing), further, grid
+    return (Slopes(grid, spec.smoothing), further), grid
 
 
 def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
@@ -427,7 +447,7 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
     """
     spec, rows, inputs = problem.spec, list[tuple[str, str]](), inputs_of(problem)
     own_unknowns(problem, [wheel.name for wheel in inputs.vehicle.wheels])
-    slopes, further, grid = maps_of(problem)
+    maps, grid = maps_of(problem)
     with at(problem, ("data", "file")):
         paths = [problem.folder / name for name in spec.named_files]
         if again := {path.resolve() for path in paths} & {path.resolve() for path in predict}:
@@ -441,9 +461,6 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
                 f"expected a surface of each of the {len(paths)} logs, found "
                 f"{len(surfaces)} in 'surfaces'; correct them"
             )
-        if spec.vehicle is None:
-            assumed = f"assumed: a skid-steer of four wheels with a wheelbase of {2 * HALF:g} m"
-            rows.append(("vehicle", f"{assumed}; give yours: --vehicle FILE, or [vehicle]"))
         reader = _Reader(problem, inputs, grid, rows)
         logs = reader.read(paths, surfaces[: len(paths)])
         model, window = model_of(problem, inputs, logs), spec.data.window
@@ -453,7 +470,9 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
         if window:
             first = WindowKind() if isinstance(window, str) else WindowKind(0.0, window)
         kinds = [first, *(kind for kind in KINDS if kind != first)]  # the first are fitted
-        found, fitted, scores = judge(model, logs, (slopes, further), kinds, others)
+        found, fitted, scores = judge(model, logs, maps, kinds, others)
+        if spec.vehicle is None:  # logs hardly show both dimensions
+            rows.append(("vehicle", "none: four wheels, a wheelbase of one track, of fitted size"))
     return FitResult(found, fitted, scores, others or logs, rows)
 
 
@@ -573,11 +592,9 @@ class _Reader(NamedTuple):
         # for each sample the nearest row of its run, and the last one before it
         nearest, earlier = list[Indices](), list[Indices]()
         for own, ours in zip(parts, even, strict=True):
-            last = np.maximum(np.searchsorted(t[own], ours + 1e-9, side="right") - 1, 0)
-            after = np.minimum(last + 1, own.size - 1)
-            is_after = t[own][after] - ours < ours - t[own][last]
-            nearest.append(own[np.where(is_after, after, last)])
-            earlier.append(own[last])
+            index = np.interp(ours, t[own], np.arange(own.size))
+            nearest.append(own[np.ceil(index - 0.5).astype(int)])
+            earlier.append(own[np.floor(index + 1e-7).astype(int)])
         rows, held = np.concatenate(nearest), np.concatenate(earlier)
         pieces = np.append(0, np.cumsum(~follows | ends))
         place, is_fresh, is_held = _places(t, z + complex(*spec.shift), pieces, at_even, rows)
@@ -694,16 +711,19 @@ def _places(
 
 def facts(result: FitResult) -> Lines:
     """Return the facts of a fit: constants, weak directions, and errors of predictions."""
+    verdict = result.outcome.title
+    if result.outcome is Outcome.INACCURATE:
+        share = next(iter(result.scores.values())).share
+        verdict += f": errors of {100 * share:.2g} % of the path; check vehicle, units, columns"
     if result.fit is None:
-        return [*result.rows, *_error_lines(result.scores)]
+        return [("outcome", verdict), *result.rows, *_error_lines(result.scores)]
     estimate, rows = result.fit.estimate, constant_rows(result.fit)
-    outcome = Outcome.INTERRUPTED if estimate.is_interrupted else Outcome.COMPLETE
     return [
-        ("outcome", outcome.title),
+        ("outcome", verdict),
         *result.rows,
         ("fitted windows", str(len(result.fit.errors))),
         *estimate_lines(rows, dict.fromkeys(as_priors(result.fit), AS_ITS_PRIOR)),
-        *(line for line in direction_lines(estimate) if line[0] != "determined best"),
+        *direction_lines(estimate),
         *_error_lines(result.scores),
     ]
 
@@ -728,13 +748,13 @@ def estimate_lines(
 
 
 def direction_lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
-    """Yield the combinations of unknowns that the data determine best, weakly, or not at all."""
+    """Yield the combinations of unknowns that the data determine weakly, or not at all."""
     names = [
         label.name
         for label, fixed in zip(estimate.labels, estimate.at_bound, strict=True)
         if not fixed
     ]
-    for k, direction in enumerate(estimate.directions):
+    for direction in estimate.directions:
         # weights are relative to the sizes of the unknowns
         terms = [
             f"{weight:+.2g} {name}"
@@ -748,8 +768,6 @@ def direction_lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
             size = size if np.isfinite(direction.deviation) else "without any information"
             kind = "not determined" if direction.deviation > 1 else "weakly determined"
             yield kind, f"{words}: {size}"
-        elif k == 0:
-            yield "determined best", f"{words}: to {100 * direction.deviation:.2g} %"
 
 
 def estimate_rows(estimate: Estimate) -> list[dict[str, Any]]:
@@ -799,36 +817,24 @@ def undetermined(problem: Problem[Fit], fit: DriveFit) -> tuple[str, ...]:
 
 
 def _error_lines(scores: Mapping[WindowKind, Score]) -> Iterator[tuple[str, str]]:
-    """Yield errors, intervals and coverage by kind of window, and errors of the slip by grade."""
+    """Yield errors, intervals and coverage by kind of window."""
     for kind, score in scores.items():
         row = _row(kind, score)
         interval = f" ({row['position_lower']:.3g} to {row['position_upper']:.3g})"
-        share = 100 * row["position_rms"] / max(float(score.windows.length.mean()), 1e-9)
         yield (
             kind.words,
             f"rms {row['position_rms']:.3g} m{interval if row['logs'] > 1 else ''}, "
-            f"{share:.2g} % of the path, {np.rad2deg(row['turn_rms']):.3g} deg; "
-            f"median {row['position_median']:.3g} m, "
-            f"{np.rad2deg(row['turn_median']):.3g} deg; {row['windows']} windows, 90 % intervals "
-            f"+-{row['reach_along']:.2g} m, +-{row['reach_across']:.2g} m, "
-            f"+-{np.rad2deg(row['reach_turn']):.2g} deg hold {100 * row['coverage_along']:.0f}, "
-            f"{100 * row['coverage_across']:.0f}, {100 * row['coverage_turn']:.0f} %; they rest on "
-            f"{score.campaigns} campaign{'s' if score.campaigns > 1 else ''}",
+            f"{100 * score.share:.2g} % of the path, {np.rad2deg(row['turn_rms']):.3g} deg; "
+            f"{row['windows']} windows, 90 % intervals +-{row['reach_along']:.2g} m, "
+            f"+-{row['reach_across']:.2g} m, +-{np.rad2deg(row['reach_turn']):.2g} deg hold "
+            f"{100 * row['coverage_along']:.0f}, {100 * row['coverage_across']:.0f}, "
+            f"{100 * row['coverage_turn']:.0f} %; campaigns: {score.campaigns}",
         )
         if count := int(score.is_beyond.sum()):
-            low, high = np.rad2deg([score.grade.min(), score.grade.max()])
             yield (
-                f"{kind.words}, extrapolated",
-                f"{count} of {score.grade.size} windows, with grades from {low:.1f} to {high:.1f} "
-                "deg, are beyond those that were fitted; intervals do not hold there",
+                f"{kind.words}, grades beyond those fitted",
+                f"{count} of {score.grade.size} windows",
             )
-    for score in [*scores.values()][:1]:
-        if score.grade.any():
-            words = (
-                f"{np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} deg: {error:+.3f} ({count})"
-                for low, high, count, error in score.slip()
-            )
-            yield "error of slip", ", ".join(words)
 
 
 AXES = "along", "across", "turn"
@@ -923,7 +929,7 @@ def save_fit(path: Path, problem: Problem[Fit], settings: Sequence[str], result:
         "text": problem.source.text,
         "settings": [*settings],
         "unknowns": [[u.name, u.quantity, u.wheels, u.of] for u in model.unknowns],
-        "model": [dict(model.fixed), model.radii.tolist(), model.wheels, model.half_track],
+        "model": [dict(model.fixed), model.radii.tolist(), model.wheels, *model[4:]],
         "values": result.fit.values.tolist(),
         "facts": facts(result),
         "fitted": [[kind, [each.tolist() for each in own]] for kind, own in result.fitted.items()],
@@ -964,10 +970,10 @@ def predict_logs(
         Unknown(name, quantity, tuple(wheels), of=of)
         for name, quantity, wheels, of in contents["unknowns"]
     )
-    fixed, radii, wheels, half_track = contents["model"]
-    model = Model(unknowns, fixed, np.array(radii), tuple(wheels), half_track)
+    fixed, radii, wheels, *sizes = contents["model"]
+    model = Model(unknowns, fixed, np.array(radii), tuple(wheels), *sizes)
     known = Known(model, np.array(contents["values"]))
-    slopes, _, grid = maps_of(problem)
+    (slopes, _), grid = maps_of(problem)
     rows = list[tuple[str, str]]()
     with at(problem, ("data", "surfaces")):
         named = _known_surfaces(model, surfaces, paths)
