@@ -626,6 +626,22 @@ def test_a_goal_a_turn_away_is_reached_the_short_way(tmp_path: Path):
 
 
 @pytest.mark.slow
+def test_a_plan_with_a_smoother_load_law_is_verified_if_the_next_search_fails(monkeypatch):
+    solve, plans = module.solve_task, []
+
+    def second_fails(*args, **options):
+        plans.append(solve(*args, **options))
+        return replace(plans[-1], success=len(plans) < 2)
+
+    monkeypatch.setattr(module, "solve_task", second_fails)
+    settings = ("vehicle={catalog='rigid_skid_steer'}", "goal={x=0.0, y=1.0}", "bounds=", "limits=")
+    run = run_problem(load_problem(PROBLEMS / "plan_rigid_hills.toml", settings)).trajectory
+    assert len(plans) == 2
+    assert run.t[-1] == pytest.approx(plans[0].motion.duration)
+    assert run.facts["plan_difference_x"].value < 1e-3
+
+
+@pytest.mark.slow
 def test_a_plan_with_a_caster_that_swings_to_the_other_side_is_its_simulation(tmp_path: Path):
     """A caster driven backwards is unstable: by rounding it swings to either side, on any mesh."""
     result = _driven(tmp_path, "{ x = -2.0, y = 0.0, heading = 3.1416 }", 8.0)

@@ -164,7 +164,8 @@ def find_plan(
                 accuracy = 1.0 if found.program.task.dae.replay else spec.plan.accuracy
                 where = found.program, found.solution.unknowns, before
                 shown = verify_plan(*where, accuracy=accuracy, step=spec.time.step)._asdict()
-                return replace(found, **{name: shown[name] for name in shown.keys() - {"worse"}})
+                names = "replay", "difference", "violation", "units", "accurate"
+                return replace(found, **{name: shown[name] for name in names})
             now = replace(now, stages=(*found.stages, *now.stages))
         if not now.success or dae is setup.dae:
             break
