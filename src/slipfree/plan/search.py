@@ -549,7 +549,7 @@ def _simulated_plan(
             return search._replace(stages=now.stages), verification
         if all(np.abs(miss).max(initial=0.0) <= accuracy for miss in shown.misses):
             break
-        moved = tuple(
+        aims = tuple(
             condition._replace(
                 limits=tuple(
                     limit._replace(lower=limit.lower - size, upper=limit.upper - size)
@@ -558,8 +558,7 @@ def _simulated_plan(
             )
             for condition, miss in zip(now.program.task.conditions, shown.misses, strict=True)
         )
-        task = replace(asked, conditions=moved)
-        program = transcribe(task, now.program.mesh, now.program.options)
+        program = transcribe(replace(asked, conditions=aims), now.program.mesh, now.program.options)
         now = _solve_anew(now, program, "moved goal", progress, near=True)
         shown = verify(now._replace(program=replace(program, task=asked)))
     else:
