@@ -613,7 +613,8 @@ def test_logs_without_a_problem_file_over_a_map() -> None:
     assert "wrote fit_fit.csv" in printed("fit", "fit.nc", *further)
     assert "data.rates: expected a vehicle" in refused("fit", "a.csv", *sets("data.rates.a='b'"))
     surfaces = sets("frame=rep103", "data.surfaces=['x', 'y']")
-    printed("fit", "a.csv", "b.csv", "-o", "two.csv", "--no-draw", *surfaces)
+    words = printed("fit", "a.csv", "b.csv", "-o", "two.csv", "--no-draw", *surfaces, code=1)
+    assert "inaccurate: errors of" in words  # of drives on a hillside, without its map
     assert "one of x, y, found none" in refused("fit", "two.nc", *further)
     assert "windows" in printed("fit", "two.nc", *further, *sets("data.surfaces=['y']"))
     Path("c.nc").write_bytes(b"CDF\x01")
