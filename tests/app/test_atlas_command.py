@@ -44,7 +44,10 @@ def site(folder):
 
 @pytest.fixture
 def small_tiles(monkeypatch):
+    """Return a command that computes a map in six tiles."""
     monkeypatch.setattr(core, "TILE", 32)  # half of it on small maps
+    write_map((0.1 * np.sin(np.arange(40 * 20) / 3)).reshape(40, 20).astype("f4"))
+    return "atlas", "site.tif", "three_wheeler", *QUICK, "--headings", "1", "-j", "1"
 
 
 def write_map(z, **more):
@@ -122,31 +125,25 @@ def test_guaranteed_bounds_are_bands_of_the_file():
     assert "guarantee: expected a vehicle whose wheels can all touch a rigid ground" in told
 
 
-@pytest.mark.usefixtures("small_tiles")
-def test_a_killed_map_continues_and_gives_equal_files(monkeypatch):
-    write_map((0.1 * np.sin(np.arange(40 * 20) / 3)).reshape(40, 20).astype("f4"))
-    words = "atlas", "site.tif", "three_wheeler", *QUICK, "--headings", "1", "-j", "1"
-    printed(*words, "-o", "whole.tif")
+def test_a_killed_map_continues_and_gives_equal_files(small_tiles, monkeypatch):
+    printed(*small_tiles, "-o", "whole.tif")
     pressed, computed = pressing(verb.tile_of, at=3)  # inside the third tile, which it ends
     monkeypatch.setattr(verb, "tile_of", pressed)
-    told = printed(*words, "-o", "part.tif", code=130)
+    told = printed(*small_tiles, "-o", "part.tif", code=130)
     assert "contains 2 of 6 tiles; repeat the command to continue" in told
-    printed(*words, "-o", "part.tif")
+    printed(*small_tiles, "-o", "part.tif")
     assert len(computed) == 3 + 4
     assert Path("whole.tif").read_bytes() == Path("part.tif").read_bytes()
 
 
-@pytest.mark.usefixtures("small_tiles")
-def test_only_tiles_as_they_were_written_are_used(monkeypatch):
+def test_only_tiles_as_they_were_written_are_used(small_tiles, monkeypatch):
     """Tiles of zeros, of another shape, truncated, foreign or exchanged are computed again.
 
     What a killed process left of a tile is removed.
     """
-    write_map((0.1 * np.sin(np.arange(40 * 20) / 3)).reshape(40, 20).astype("f4"))
-    words = "atlas", "site.tif", "three_wheeler", *QUICK, "--headings", "1", "-j", "1"
     kept = pytest.MonkeyPatch()
     kept.setattr(verb.TileFolder, "remove", lambda _: None)
-    printed(*words, "-o", "a.tif")
+    printed(*small_tiles, "-o", "a.tif")
     whole = Path("a.tif").read_bytes()
     (folder,) = Path().glob("a_parts_*")
     files = sorted(folder.glob("*.npy"))
@@ -165,7 +162,7 @@ def test_only_tiles_as_they_were_written_are_used(monkeypatch):
         lambda folder, *tile: computed.append(tile[0]) or store(folder, *tile),
     )
     kept.undo()
-    printed(*words, "-o", "a.tif")
+    printed(*small_tiles, "-o", "a.tif")
     assert computed == [*range(1, 7)]
     assert Path("a.tif").read_bytes() == whole
     assert [file.name for file in folder.iterdir()] == ["part_of_mine.npy"]
@@ -201,13 +198,12 @@ def test_other_problems_have_other_tiles_and_one_has_one_command(monkeypatch):
     assert ["found one in use" in each for each in told] == [True, True]
 
 
-@pytest.mark.usefixtures("small_tiles")
-def test_a_map_that_changes_during_the_computation_ends_it(monkeypatch):
+def test_a_map_that_changes_during_the_computation_ends_it(small_tiles, monkeypatch):
     z = np.zeros((40, 20), "f4")
     write_map(z)
     store = verb.TileFolder.store
     monkeypatch.setattr(verb.TileFolder, "store", lambda *words: store(*words) or write_map(z + 1))
-    words = refused("atlas", "site.tif", "three_wheeler", *QUICK, "-j", "1")
+    words = refused(*small_tiles)
     assert "expected the input files with which the computation started, found others" in words
     assert not Path(ATLAS).exists()
 

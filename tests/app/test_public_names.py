@@ -112,9 +112,8 @@ def test_reprs_of_a_plan_and_all_in_it():
 def test_a_motion_that_ends_early_says_why():
     vehicle = catalog.three_wheeler()
     dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x, domain=(-2, 2, -2, 2)))
-    run = simulate(
-        dae, settle(dae), dae.inputs(right_rate=2.0, left_rate=2.0, steer_rate=0.0), [0.0, 4.0, 8.0]
-    )
+    rates = dae.inputs(right_rate=2.0, left_rate=2.0, steer_rate=0.0)
+    run = simulate(dae, settle(dae), rates, [0.0, 4.0, 8.0])
     lines = lines_of(run)
     assert "; limit reached" in lines[0]
     assert lines[-1].startswith(f"  stop: {run.stop.name}, ")
@@ -247,20 +246,14 @@ def test_every_wrong_argument_is_named(calls, name, monkeypatch):
 
 def test_degrees_are_asked_back(calls):
     model, start = (calls["simulate"][1][key] for key in ("model", "start"))
-    places, inputs, t = {"x": 5.0, "y": 5.0}, RATES, np.linspace(0.0, 0.2, 3)
+    places, many = {"x": 5.0, "y": 5.0}, {"inputs": RATES, "t": np.linspace(0.0, 0.2, 3)}
     words = r"expected an angle in radians, found 90; did you mean 90 degrees\? write np.radians"
     for function, given in (
         (sf.settle, {"model": model, "heading": 90}),
         (sf.settle, {"model": model, "guess": {"roll": 90.0}, **places}),
         (sf.settle_many, {"model": model, "heading": [0.0, 90.0], "compiled": False}),
-        (
-            sf.rollouts,
-            {"model": model, "starts": places | {"heading": 90}, "inputs": RATES, "t": t},
-        ),
-        (
-            sf.rollouts,
-            {"model": lambda: model, "starts": {"heading": 90}, "inputs": inputs, "t": t},
-        ),
+        (sf.rollouts, {"model": model, "starts": places | {"heading": 90}, **many}),
+        (sf.rollouts, {"model": lambda: model, "starts": {"heading": 90}, **many}),
         (sf.plan, calls["plan"][1] | {"goal": {"heading": (0.0, 90.0)}}),
         (sf.plan, calls["plan"][1] | {"way_points": {0.5: {"heading": 90.0}}}),
         (sf.SamplingTask, calls["SamplingTask"][1] | {"goal": {"heading": 90.0}}),
@@ -297,8 +290,6 @@ def test_remedies_fit_the_error(calls):
 
 
 def test_states_of_a_moving_horizon_are_map_coordinates(calls):
-    from slipfree.plan.mpc import first_cycle, horizon
-
     given = calls["plan"][1] | {"goal": {"y": 5.5}, "duration": 4.0, "mesh": sf.Mesh(4)}
     found = sf.plan(**given)
     window, shift = horizon(found, span=2.0, intervals=2), given["model"].shift[0]
@@ -360,9 +351,8 @@ def test_an_interrupted_front_keeps_its_first_plans(monkeypatch):
 
 @pytest.mark.parametrize("rate", [1e9, 1e300])
 def test_lanes_that_are_too_fast_end_by_name(rate):
-    model = sf.direct_kinematics(
-        catalog.three_wheeler(axle="fixed"), sf.Analytic(lambda x, y: 0.02 * x * y)
-    )
+    vehicle, ground = catalog.three_wheeler(axle="fixed"), Analytic(lambda x, y: 0.02 * x * y)
+    model = direct_kinematics(vehicle, ground)
     rates = {"right_rate": np.array([[rate], [1.5]]), "left_rate": 1.5, "steer_rate": 0.0}
     with pytest.warns(UserWarning, match="interpreted"):
         found = sf.rollouts(model, {}, rates, np.linspace(0, 1, 3), method="batch")

@@ -54,6 +54,13 @@ def ours(vehicle, values, rates):
     return found
 
 
+def by_joint(name, values):
+    """Return values of coordinates as those of the joints of the URDF, mimics last."""
+    given = {FILES[name][key]: value for key, value in values.items()}
+    mimics = [factor * given[leader] for leader, factor in MIMICS.get(name, {}).values()]
+    return np.array([*given.values(), *mimics])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_poses_and_jacobians_are_those_of_adam(name, rng):
@@ -67,10 +74,7 @@ def test_poses_and_jacobians_are_those_of_adam(name, rng):
             dict(zip(FILES[name], rng.uniform(-0.8, 0.8, len(FILES[name])), strict=True))
             for _ in range(2)
         )
-        given = {FILES[name][key]: (values[key], rates[key]) for key in values}
-        for follower, (leader, factor) in MIMICS.get(name, {}).items():
-            given[follower] = tuple(factor * each for each in given[leader])
-        q, dq = np.array([given[joint] for joint in joints]).T
+        q, dq = by_joint(name, values), by_joint(name, rates)
         for part, (rotation, origin, v, omega) in ours(vehicle, values, rates).items():
             if part == "platform":
                 continue
@@ -89,15 +93,12 @@ def test_centres_of_mass_are_those_of_adam(name, rng):
     joints = [*FILES[name].values(), *MIMICS.get(name, {})]
     oracle = adam_model((DATA / f"{name}.urdf").read_text(), joints)
     values = dict(zip(FILES[name], rng.uniform(-0.8, 0.8, len(FILES[name])), strict=True))
-    given = {FILES[name][key]: value for key, value in values.items()}
-    for follower, (leader, factor) in MIMICS.get(name, {}).items():
-        given[follower] = factor * given[leader]
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     masses = vehicle.masses(rest, {key: ca.SX(value) for key, value in values.items()})
     moments = [np.array([1, *np.array(ca.evalf(place)).ravel()]) * m for _, m, place in masses]
     mass, *moment = np.sum(moments, axis=0)
     assert_allclose(mass, oracle.get_total_mass(), rtol=1e-12)
-    center = oracle.CoM_position(np.eye(4), np.array([given[joint] for joint in joints]))
+    center = oracle.CoM_position(np.eye(4), by_joint(name, values))
     assert_allclose(RIGHT_FORWARD.T @ moment / mass, center, atol=1e-12)
 
 

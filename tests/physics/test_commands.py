@@ -48,6 +48,7 @@ from slipfree.problem.inputs import input_files
 from slipfree.problem.load import load_problem
 from slipfree.solve.replay import apply_inputs, replay, round_trip, trim_states
 
+FINE = SolverOptions(tolerance=1e-8)
 FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)
 VEHICLES = {
     make.__name__: make(**LIGHT)
@@ -124,7 +125,7 @@ def test_level_ground_against_closed_forms(name, command):
 )
 def test_on_hills_the_platform_follows_within_the_announced_error(name, command):
     direct, dae, inputs, start = poised(VEHICLES[name], HILLS, command)
-    run = simulate(dae, start, inputs, np.linspace(0, 2, 21), options=SolverOptions(tolerance=1e-8))
+    run = simulate(dae, start, inputs, np.linspace(0, 2, 21), options=FINE)
     assert run.stop is None
     assert max(round_trip(direct, run, MOTION).values()) < 1e-11
     again = replay(direct, run)[0]  # wheel and joint rates alone
@@ -175,9 +176,8 @@ def test_rates_and_stops_of_the_steering_are_kept_and_do_not_end_the_motion():
     assert np.abs(announced(run)[:, -1]).max() > 0.01  # the stop costs the command
     _, _, _, start = poised(vehicle, HILLS, (0.1, 0.0, 0.4))
     assert_allclose(start["steer"], 0.7 - STOP_CLEARANCE, atol=1e-7)
-    dae = inverse_kinematics(
-        vehicle, HILLS, given=("forward", "yaw_rate")
-    )  # exact: the wheels slip more
+    # exact: the wheels slip more
+    dae = inverse_kinematics(vehicle, HILLS, given=("forward", "yaw_rate"))
     inputs = dae.inputs(forward=0.1, yaw_rate=0.4)
     run = simulate(dae, apply_inputs(dae, start, inputs), inputs, [0.0, 1.0])
     assert run.stop is None
@@ -243,10 +243,9 @@ def test_a_path_with_a_heading_is_followed():
 
 
 def test_exactness_is_refused_in_words_that_name_the_remedy():
-    with pytest.raises(
-        ModelError, match=r"no more given rates than driven wheels \(2\).*or set exact = false"
-    ):
-        inverse_kinematics(VEHICLES["ackermann"], FLAT, given=tuple(COMMANDS))
+    words = r"no more given rates than driven wheels \(2\).*or set exact = false"
+    given = {"given": tuple(COMMANDS)}
+    refuses(ModelError, words, inverse_kinematics, VEHICLES["ackermann"], FLAT, **given)
 
 
 FOUR_WHEELS = (DATA / "crab.toml").read_text()
@@ -356,7 +355,7 @@ def test_what_is_wrong_is_refused(settings, words):
 
 def test_without_steering_all_but_the_velocity_across_is_met():
     direct, dae, inputs, start = poised(skid_steered(), HILLS, (0.3, 0.0, 0.2))
-    run = simulate(dae, start, inputs, np.linspace(0, 2, 21), options=SolverOptions(tolerance=1e-8))
+    run = simulate(dae, start, inputs, np.linspace(0, 2, 21), options=FINE)
     assert run.stop is None
     missed = np.array([[0.3], [0.0], [0.2]]) - planar(run)
     assert_allclose(missed[[0, 2]], 0, rtol=0, atol=1e-9)
@@ -383,8 +382,10 @@ def poised_exactly(vehicle, terrain, given, **start):
     return direct, dae, trim_states(dae, stand, dae.inputs(**given), states=joints, least=errors)
 
 
-def driven(direct, stand, rates):
-    return apply_inputs(direct, stand, direct.inputs(**rates))
+def driven(direct, sample):
+    """The instant of the direct model under the rates of a sample of another model."""
+    rates = {label.full: float(sample[label.name][-1]) for label in leaves(direct.labels.u)}
+    return apply_inputs(direct, sample, direct.inputs(**rates))
 
 
 @pytest.mark.slow
@@ -392,17 +393,11 @@ def driven(direct, stand, rates):
 def test_every_vehicle_moves_over_hills_as_given(name):
     given = {"forward": 0.2, "yaw_rate": 0.1}
     direct, dae, start = poised_exactly(VEHICLES[name], HILLS, given, x=0.3, y=-0.4, heading=0.7)
-    run = simulate(
-        dae, start, dae.inputs(**given), np.linspace(0, 1, 6), options=SolverOptions(tolerance=1e-8)
-    )
+    run = simulate(dae, start, dae.inputs(**given), np.linspace(0, 1, 6), options=FINE)
     assert run.stop is None
     assert max(round_trip(direct, run, MOTION).values()) <= 1e-12
     for k in (0, -1):  # and without any of the code that did this at once
-        again = driven(
-            direct,
-            run.part(slice(k, None if k else 1)),
-            {label.full: float(run[label.name][k]) for label in leaves(direct.labels.u)},
-        )
+        again = driven(direct, run.part(slice(k, None if k else 1)))
         for rate, value in given.items():
             assert_allclose(named_rates(again)[rate], value, rtol=0, atol=1e-12)
     for joint in steering_effects(direct):
@@ -419,8 +414,7 @@ def test_on_the_rough_ground_of_wmrde_the_guide_is_improved_upon():
     joints, slips = list(steering_effects(direct)), ["slip_along", "slip_across"]
     best = trim_states(dae, stand, dae.inputs(**given), states=joints, least=slips)
     for start, least, most in ((stand, 2e-2, 3e-2), (best, 0, 1.2e-2)):
-        rates = {label.full: float(start[label.name][-1]) for label in leaves(direct.labels.u)}
-        again = driven(direct, start, rates)
+        again = driven(direct, start)
         assert least < slip(again)[0] < most
         for name, value in given.items():
             assert_allclose(named_rates(again)[name], value, rtol=0, atol=1e-12)

@@ -3,7 +3,8 @@
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pytest
 
@@ -48,6 +49,18 @@ def _child(do: Callable[[], None]) -> int:
     pytest.fail("the child hangs")
 
 
+@contextmanager
+def _running(do: Callable[[], object], over: threading.Event) -> Iterator[None]:
+    """Call a function in another thread, which ends at the event."""
+    thread = threading.Thread(target=do)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
 def test_children_compute_while_another_thread_does() -> None:
     over = threading.Event()
 
@@ -55,13 +68,8 @@ def test_children_compute_while_another_thread_does() -> None:
         while not over.is_set():
             _compute()
 
-    thread = threading.Thread(target=compute)
-    thread.start()
-    try:
+    with _running(compute, over):
         assert [_child(_compute) for _ in range(6)] == [0] * 6
-    finally:
-        over.set()
-        thread.join()
 
 
 def test_a_child_reads_a_property_that_another_thread_computed() -> None:
@@ -73,14 +81,9 @@ def test_a_child_reads_a_property_that_another_thread_computed() -> None:
             begun.set()
             return over.wait()
 
-    thread = threading.Thread(target=lambda: Owner().value)
-    thread.start()
-    begun.wait()
-    try:
+    with _running(lambda: Owner().value, over):
+        begun.wait()
         assert _child(lambda: over.set() or os._exit(0 if Owner().value else 2)) == 0
-    finally:
-        over.set()
-        thread.join()
 
 
 def test_a_fork_waits_for_a_computation_and_no_longer() -> None:
@@ -93,11 +96,9 @@ def test_a_fork_waits_for_a_computation_and_no_longer() -> None:
         ended.append(True)
 
     begun = threading.Event()
-    thread = threading.Thread(target=compute)
-    thread.start()
-    begun.wait()
-    assert _child(lambda: os._exit(0 if ended else 2)) == 0
-    thread.join()
+    with _running(compute, begun):
+        begun.wait()
+        assert _child(lambda: os._exit(0 if ended else 2)) == 0
 
 
 def test_a_child_of_a_long_computation_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,14 +113,9 @@ def test_a_child_of_a_long_computation_says_so(monkeypatch: pytest.MonkeyPatch) 
     def refused() -> None:
         refuses(SlipfreeError, "forked while another thread computed", _compute)
 
-    thread = threading.Thread(target=compute)
-    thread.start()
-    begun.wait()
-    try:
+    with _running(compute, over):
+        begun.wait()
         assert _child(refused) == 0
-    finally:
-        over.set()
-        thread.join()
     _compute()  # the parent goes on
 
 
