@@ -95,7 +95,7 @@ def test_check_and_vehicle() -> None:
         result = invoke("check", file, code=0)
         assert words in result.stdout
         assert result.stdout.startswith("ok ")
-    assert "it can roll without slip" in invoke("vehicle", "p.toml", "--verbose", code=0).stdout
+    assert "yes (slip = 'rolling')" in invoke("vehicle", "p.toml", "--verbose", code=0).stdout
 
 
 @pytest.mark.slow

@@ -360,22 +360,20 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     passive = [c.name for c in vehicle.of("passive")]
     given, needed = len(passive) + len(free), _tangential(vehicle) - 3
-    more = "too few" if given < needed else "too many"
-    balance = "as many as needed" if given == needed else f"{abs(needed - given)} {more}"
+    change = f"{'more' if given < needed else 'fewer'} free wheels or joints: {abs(needed - given)}"
     if has_law:
-        can_roll = rolls = "the wheels slip as the wheel-ground law determines"
+        rolls = "the wheels slip as the wheel-ground law determines"
     elif given == needed:
         law = "least" if any(wheel.rollers for wheel in vehicle.wheels) else "rolling"
-        can_roll, rolls = "yes", f"it can roll without slip (slip = '{law}')"
+        rolls = f"yes (slip = '{law}')"
     else:
-        can_roll = f"no: passive joints and free wheels: {balance}"
-        rolls = "it moves with least slip (slip = 'least')"
+        rolls = f"no: its wheels slip as little as possible; rolling would take {change}"
     ground = ["height", "pitch", "roll", *(c.name for c in vehicle.of("suspension"))]
     listed_ground = ", ".join(ground if is_exact else [*ground, "depths of the wheels"])
     equations = "equilibrium and the wheel-ground law; they also determine the normal forces"
     if not has_law:
         equations = dae.labels.alg[1][0].name.replace("_", " ")
-    main = [inputs, ("can roll without slip", can_roll), ("the ground determines", listed_ground)]
+    main = [inputs, ("can roll without slip", rolls), ("the ground determines", listed_ground)]
     wheels = len(vehicle.wheels)
     suspension = f"{len(vehicle.of('suspension'))} of {wheels - 3} for exact contact of all wheels"
     contact = "determined by the ground"
@@ -384,7 +382,6 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
         contact = "contact unknowns"
         conditions = f"{len(dae.labels.alg[0])}: two for each contact point"
         suspension += ": the wheels are pressed into the ground, and may lift off it"
-    words = f"{needed} besides the contacts; passive joints and free wheels: {balance}: {rolls}"
     details = [
         states,
         (contact, listed(position)),
@@ -394,7 +391,7 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
         ("  equations", f"{len(dae.labels.alg[1])}: {equations}"),
         ("passive joints", _listed(passive)),
         ("free wheels", _listed(free)),
-        ("no-slip conditions", words),
+        ("no-slip conditions", f"{needed} besides the contacts"),
     ]
     if not vehicle.mass:
         return main, details
