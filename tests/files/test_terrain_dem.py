@@ -233,7 +233,7 @@ def test_a_plane_is_exact(tmp_path, name, delimiter, header):
     assert_allclose(found.grid.z, 3 + 0.2 * x[:, None] - 0.1 * y, atol=1e-8)
     told = dict(found.facts)["ground points"]
     assert told.startswith("404, a median of 0.2")
-    assert told.endswith("for 441 nodes 0.5 m apart")
+    assert told.endswith("for 441 nodes 0.5 by 0.5 m apart")
 
 
 @pytest.mark.parametrize(
@@ -311,9 +311,44 @@ def test_files_refused(tmp_path, text, words):
     refuses(path, f"p.*{words}", spacing=1.0)
 
 
-def test_a_missing_spacing_is_suggested(tmp_path):
+def test_a_missing_spacing_is_suggested(tmp_path, rng):
     words = r"expected spacing, .* neighbours is 0.2\d+ m: set spacing = 0.2\d* \(--set terrain.s"
     refuses(written_scattered(tmp_path / "p.xyz", scattered()), words)
+    nodes = np.column_stack([X.ravel(), Y.ravel(), HILLS.ravel()])
+    apart = nodes + [0.05, 0, 0] * rng.uniform(-1, 1, (X.size, 1))
+    turned = nodes @ [[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1]]
+    twice = np.vstack([nodes, nodes[0] + 1e-3])
+    few = rng.permutation(nodes)[: X.size // 2]
+    for points in (apart, turned, twice, few):
+        refuses(written_scattered(tmp_path / "p.xyz", points), "expected spacing")
+
+
+@pytest.mark.parametrize("form", ["%.17g", "%.3f"])
+@pytest.mark.parametrize("order", ["west to east", "north to south", "shuffled"])
+def test_points_on_a_regular_grid_equal_the_raster(tmp_path, rng, order, form):
+    """Also with missing nodes, and coordinates that are rounded in a projection or in print."""
+    z = HILLS.copy()
+    z[:3, :2] = z[20:25, -1] = z[-1, 7] = z[10, 10] = -9999.0
+    place = from_origin(5e5, 5e6, 1 / 3)
+    raster = read_map(
+        geotiff(tmp_path / "m.tif", z.T[::-1], place, dtype="float64", nodata=-9999.0)
+    )
+    x, y = np.meshgrid(raster.grid.x, raster.grid.y, indexing="ij")
+    points = np.column_stack([x[z > 0], y[z > 0], z[z > 0]])
+    points[:, :2] += rng.uniform(-1e-8, 1e-8, (len(points), 2))
+    if order != "west to east":
+        by_rows = np.lexsort((points[:, 0].round(3), -points[:, 1].round(3)))
+        points = points[by_rows] if order == "north to south" else rng.permutation(points)
+    np.savetxt(tmp_path / "p.csv", points, delimiter=",", fmt=[form, form, "%.17g"])
+    found = read_map(tmp_path / "p.csv")
+    assert_allclose(found.grid.x, raster.grid.x, rtol=0, atol=1e-3)
+    assert_allclose(found.grid.y, raster.grid.y, rtol=0, atol=1e-3)
+    assert_array_equal(found.grid.z, raster.grid.z)
+    assert_array_equal(found.grid.holes, raster.grid.holes)
+    assert "1187, a median of 0.333 m apart, for 1200 nodes 0.3333" in str(found.facts)
+    window = (5e5 + 3, 5e5 + 9, 5e6 - 9, 5e6 - 3)
+    part = read_map(tmp_path / "p.csv", window=window).grid
+    assert_array_equal(part.z, read_map(tmp_path / "m.tif", window=window).grid.z)
 
 
 def test_too_many_nodes_need_a_window(tmp_path):

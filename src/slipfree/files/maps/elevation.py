@@ -19,7 +19,7 @@ import numpy as np
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError, missing_package
-from slipfree.core.records import Array, Mask
+from slipfree.core.records import Array, Indices, Mask
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.maps import raster
 from slipfree.files.maps.reference_systems import (
@@ -62,6 +62,7 @@ POINTS_PER_CELL = 4.0  # default mean number; with random points, one cell in 55
 ROUGH = 0.25  # largest rounding of coordinates [distance of points]
 MANY, THICKER = 100_000, 3.0  # points that show the upward axis, and least ratio of shares [1]
 COARSE = 64.0  # mean number of points in the cells that measure the covered area
+OFF_NODE = 0.02  # largest distance of points of a regular grid from its nodes, by rounding [step]
 MARGIN = 4.0  # width of the border around a window that is also read, in cells
 MAX_UNNAMED = 16  # largest number of columns without names
 MAX_POINTS = 1e8  # largest number of points in memory, 25 bytes each
@@ -165,7 +166,8 @@ CLOUDS = {".ply": ply_points, ".pcd": pcd_points}  # readers of endings other th
 def read_points(path: Path, ask: raster.Reading) -> Heights:
     """Return the height map interpolated linearly from scattered points; holes outside their hull.
 
-    The first node is at the smallest x and y of all points.
+    The first node is at the smallest x and y of all points. Points on a regular grid need no
+    spacing: they are its nodes, and nodes without a point are holes.
     """
     from scipy.spatial import cKDTree  # imported here: the import takes 0.2 s
 
@@ -199,10 +201,10 @@ def read_points(path: Path, ask: raster.Reading) -> Heights:
     repeated, apart = len(table) - len(points), float((top - bottom).max(initial=0.0))
     if len(points) < 3:
         refuse("at least 3 points with different x, y", f"{len(points)}", "add points")
-    spacing = ask.spacing
+    nodes = None if ask.spacing else regular_nodes(places)
     # median distance from the nearest neighbours
     distance = float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
-    if spacing is None:
+    if nodes is None and ask.spacing is None:
         refuse(
             f"spacing, the distance between grid nodes in {unit}",
             "none",
@@ -210,41 +212,58 @@ def read_points(path: Path, ask: raster.Reading) -> Heights:
             f"{distance:.3g} {unit}: set spacing = {distance:.2g} "
             f"(--set terrain.spacing={distance:.2g})",
         )
-    low, high = places.min(axis=0), places.max(axis=0)
-    counts = np.floor((high - low) / spacing + WINDOW_TOLERANCE).astype(int) + 1
-    x, y = (UniformAxis(float(a), spacing, int(n)) for a, n in zip(low, counts, strict=True))
+    low, extent = places.min(axis=0), np.ptp(places, axis=0)
+    steps = np.full(2, ask.spacing) if nodes is None else extent / nodes.max(axis=0)
+    counts = np.floor(extent / steps + WINDOW_TOLERANCE).astype(int) + 1
+    x, y = map(UniformAxis, low.tolist(), steps.tolist(), counts.tolist())
     if counts.min() < 4:
-        size = f"{counts[0]} by {counts[1]} at spacing = {spacing:g} {unit}"
+        size = f"{counts[0]} by {counts[1]} at spacing = {x.step:g} {unit}"
         remedy = f"set a smaller spacing, such as {distance:.2g}"
-        if not spacing > distance:
+        if not x.step > distance:
             remedy = "add points farther along x and y"
         refuse("points that span at least 4 by 4 nodes", size, remedy)
     i, j = parts(x, y, ask.window)
-    z = interpolate_points(points, low, spacing, (i, j))
+    if nodes is None:
+        kind, z = "scattered points", interpolate_points(points - (*low, 0), x.step, (i, j))
+    else:
+        kind, z = "points on a regular grid, whose spacing is found", np.full(counts, np.nan)
+        z[*nodes.T] = points[:, 2]
+        z = z[i, j]
     words = (
-        f"{len(points)}, a median of {distance:.3g} {unit} apart, for {z.size} nodes {spacing:g} "
-        f"{unit} apart"
+        f"{len(points)}, a median of {distance:.3g} {unit} apart, for {z.size} nodes {x.step:g} "
+        f"by {y.step:g} {unit} apart"
     )
     if repeated:
-        words += (
-            f"; {repeated} at repeated positions averaged, with height differences of at most "
-            f"{apart:.3g} m"
-        )
-    described = ("ground map", "scattered points"), ("ground points", "; ".join([words, *notes]))
+        words += f"; {repeated} at repeated positions averaged, at most {apart:.3g} m apart in z"
+    described = ("ground map", kind), ("ground points", "; ".join([words, *notes]))
     return Heights(x.nodes(i), y.nodes(j), z, described, geographic=geographic)
 
 
-def interpolate_points(
-    points: Array, low: Array, spacing: float, part: tuple[slice, slice]
-) -> Array:
+def regular_nodes(places: Array) -> Indices | None:
+    """Return the nodes of a regular grid at which places lie, both of shape (n, 2).
+
+    The result is None if some lie elsewhere or at the same node, or if half of the nodes have none.
+    """
+    gaps = [np.diff(np.unique(values)) for values in places.T]  # steps, or rounding of coordinates
+    counts = np.array([np.count_nonzero(gap > 0.5 * gap.max(initial=0.0)) + 1 for gap in gaps])
+    if counts.min() < 4 or counts.prod() >= 2 * len(places):
+        return None
+    cells = (places - places.min(axis=0)) / np.ptp(places, axis=0) * (counts - 1)
+    nodes: Indices = np.rint(cells).astype(np.intp)
+    is_single = np.unique(nodes @ (counts[1], 1)).size == len(nodes)
+    return nodes if is_single and np.abs(cells - nodes).max() < OFF_NODE else None
+
+
+def interpolate_points(points: Array, spacing: float, part: tuple[slice, slice]) -> Array:
     """Return heights at nodes, interpolated linearly; NaN outside the convex hull of the points.
 
-    The first node is at ``low``; ``part`` are the indices of the wanted nodes along x and y.
+    The first node is at x = y = 0, since coordinates such as northings would lose digits; ``part``
+    are the indices of the wanted nodes along x and y.
     """
     from scipy.interpolate import LinearNDInterpolator  # imported here: the import takes 0.2 s
     from scipy.spatial import QhullError
 
-    cells = (points[:, :2] - low) / spacing  # relative to the first node: less rounding
+    cells = points[:, :2] / spacing
     nodes = np.rint(cells)
     # points within rounding of nodes are moved there: nodes on the border must be in the hull
     cells = np.where(np.abs(cells - nodes) < WINDOW_TOLERANCE, nodes, cells)
@@ -298,7 +317,8 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
         ),
     )
     # density: number of points per area, excluding areas without points [1/m2]
-    low, extent = points[:, :2].min(axis=0), np.ptp(points[:, :2], axis=0)
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    extent = high - low
     if not extent.prod() > 0:
         refuse("points that span a surface", "that they lie on a line in x and y", "check the file")
     _check_upward(points[:: len(points) // MANY + 1])
@@ -307,10 +327,7 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
     covered = np.unique(a * int(cells[1]) + b).size / cells.prod()
     density = float(len(points) / (covered * extent.prod()))
     cell = spacing or float(f"{math.sqrt(POINTS_PER_CELL / density):.2g}")
-    first, last = (
-        np.rint(ends / cell).astype(np.int64).tolist()
-        for ends in (points[:, :2].min(axis=0), points[:, :2].max(axis=0))
-    )
+    first, last = (np.rint(end / cell).astype(np.int64).tolist() for end in (low, high))
     x, y = (UniformAxis(a * cell, cell, b - a + 1) for a, b in zip(first, last, strict=True))
     i, j = parts(x, y, window)
     # heights at nodes, NaN in cells without points; means relative to the first node, since sums of
@@ -321,21 +338,15 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
     count = np.bincount(which)
     means = [np.bincount(which, column) / count for column in (points[:, :2] - first_node).T]
     means.append(np.bincount(which, points[:, 2]) / count)
-    z = interpolate_points(np.column_stack(means), np.zeros(2), x.step, (i, j))
-    a, b = (
-        each - nodes.start for each, nodes in zip(np.divmod(cells, y.size), (i, j), strict=True)
-    )
-    inside = (a >= 0) & (a < z.shape[0]) & (b >= 0) & (b < z.shape[1])
-    is_occupied = np.zeros(z.shape, bool)
-    is_occupied[a[inside], b[inside]] = True
+    z = interpolate_points(np.column_stack(means), x.step, (i, j))
+    numbers = np.add.outer(np.arange(i.start, i.stop) * y.size, np.arange(j.start, j.stop))
+    is_occupied = np.isin(numbers, cells)
     z, occupied = np.where(is_occupied, z, np.nan), int(is_occupied.sum())
-    chosen = ""
-    if not spacing:
-        chosen = f", chosen for {POINTS_PER_CELL:g} points in each (override with spacing)"
+    chosen = f", chosen for {POINTS_PER_CELL:g} points in each (override with spacing)"
     used = f"{len(points)} classified as ground, of" if ground.any() else "all"
     words = (
-        f"{used} {len(every)} points, {density:.3g} per m2; cells of {cell:g} m{chosen}; "
-        f"{occupied} of {z.size} cells have points"
+        f"{used} {len(every)} points, {density:.3g} per m2; "
+        f"cells of {cell:g} m{chosen * (not spacing)}; {occupied} of {z.size} cells have points"
     )
     if omitted:
         words += f"; {omitted} without coordinates left out"
