@@ -578,6 +578,9 @@ def test_size_of_a_vehicle_that_is_not_given(
     true = {"effective_track": 2 * size / half_track, "radius_left": radius}
     for name, value in true.items():
         assert_allclose(found[name]["value"], value, rtol=0.03)
+    true |= {"friction": 0.6, "stiffness": 8.0, "center_of_mass_ahead": half_base / 10}
+    for name, value in (true | {"gyration": truth.gyration}).items():
+        assert found[name]["lower"] < value < found[name]["upper"]
     assert "track" not in found
     assert shown["facts"]["outcome"] == "complete"
     assert shown["errors"][0]["position_rms"] < 0.02 * 2 * 2 * half_track

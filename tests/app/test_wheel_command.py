@@ -203,6 +203,8 @@ def test_errors_of_fits_of_soil(tested, tmp_path, old, new, words):
     done = invoke("fit", str(tested), "-o", str(tmp_path / "fit.csv"))
     assert done.exit_code == 2
     assert words in " ".join(done.output.split())
+    done = invoke("fit", str(tested), "--predict", str(tested))
+    assert "found a wheel file; omit --predict" in " ".join(done.output.split())
 
 
 def test_three_tests_without_a_wheel_file(tmp_path):

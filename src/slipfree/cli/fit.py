@@ -70,7 +70,12 @@ def fit(
         from slipfree.problem.wheel_test import is_wheel_file
 
         is_binary = file.suffix.lower() in (".nc", ".mcap")
-        if not predict and not is_binary and is_wheel_file(file):
+        if not is_binary and is_wheel_file(file):
+            if predict:
+                raise ModelError(
+                    f"{file}: expected a problem file or logs for --predict, found a wheel file; "
+                    "omit --predict"
+                )
             work = _soil_fit(file, settings or [])
         else:
             work = _log_fit(files, settings or [], (ground, vehicle), trust, predict or [])

@@ -198,8 +198,7 @@ def fit_drives(
                 break
     prediction = errors.accept(values)
     search = Residuals(errors, none, spread, sought)
-    estimate = search.estimate(values, prediction, groups)
-    estimate = estimate._replace(is_interrupted=is_interrupted)
+    estimate = search.estimate(values, prediction, groups)._replace(is_interrupted=is_interrupted)
     return DriveFit(model, scale.values(values), estimate, prediction.values)
 
 
@@ -388,11 +387,13 @@ def judge(
     maps: tuple[Slopes | None, Sequence[Slopes]],
     kinds: Sequence[WindowKind],
     others: Sequence[DriveLog] = (),
+    alike: Sequence[Model] = (),
 ) -> tuple[DriveFit, dict[WindowKind, Fitted], dict[WindowKind, Score]]:
     """Fit a model to windows of the first kind, and predict windows that are left out.
 
     Each part of the logs is predicted by a fit to the other parts; the logs ``others`` by the fit
-    to all ``logs``. Kinds of which there are no windows have no score.
+    to all ``logs``. Kinds of which there are no windows have no score. The intervals of the
+    constants contain those of fits of models ``alike``, which the logs hardly tell apart.
     """
     slopes = maps[0]
     windows = {kind: found for kind in kinds if (found := find_windows(logs, kind)) is not None}
@@ -402,6 +403,11 @@ def judge(
     rests = {kind: Fitted.of(whole, logs, own, slopes) for kind, own in windows.items()}
     if whole.estimate.is_interrupted:
         return whole, rests, {}
+    for variant in alike:
+        estimate = fit_on_uncertain_map(variant, logs, windows[first], maps, whole).estimate
+        ends = np.hstack([whole.estimate.intervals, estimate.intervals])
+        union = np.column_stack([ends.min(axis=1), ends.max(axis=1)])
+        whole = replace(whole, estimate=whole.estimate._replace(intervals=union))
     if others:
         return whole, rests, score_kinds(whole, rests, others, slopes)
     parts = {kind: folds_of(logs, own) for kind, own in windows.items()}

@@ -407,11 +407,6 @@ class Predictor:
     def __init__(
         self, model: Model, logs: Sequence[DriveLog], windows: Windows, slopes: Slopes | None = None
     ) -> None:
-        if not windows.log.size:
-            raise ModelError(
-                "windows: expected at least one in the fitted logs, found none; use longer logs or "
-                "shorter windows"
-            )
         self.model, self.windows, self._slopes = model, windows, slopes
         self._dt = dt = logs[0].dt
         self._half = half = chord(dt)

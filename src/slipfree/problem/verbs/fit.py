@@ -362,10 +362,9 @@ def own_unknowns(problem: Problem[Fit], names: Sequence[str]) -> list[Unknown]:
     for name, table in problem.spec.unknowns.items():
         with at(problem, ("unknowns", name)):
             found.append(own := Unknown(**{"name": name, "quantity": name, **given_values(table)}))
-            checks = [("one of the quantities", own.quantity, quantities)]
-            for words, each, known in checks + [
-                ("one of the wheels", each, names) for each in own.wheels
-            ]:
+            checks = [("one of the wheels", each, names) for each in own.wheels]
+            checks.insert(0, ("one of the quantities", own.quantity, quantities))
+            for words, each, known in checks:
                 if each not in known:
                     raise ModelError(
                         f"unknown {name!r}: expected {words} {', '.join(known)}, found {each!r}; "
@@ -470,9 +469,14 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
         if window:
             first = WindowKind() if isinstance(window, str) else WindowKind(0.0, window)
         kinds = [first, *(kind for kind in KINDS if kind != first)]  # the first are fitted
-        found, fitted, scores = judge(model, logs, maps, kinds, others)
-        if spec.vehicle is None:  # logs hardly show both dimensions
-            rows.append(("vehicle", "none: four wheels, a wheelbase of one track, of fitted size"))
+        alike = list[Model]()
+        if spec.vehicle is None:  # logs hardly show both dimensions: B + L^2 / B is the same
+            for width in (0.5, 2.0):
+                fixed = {**model.fixed, "track": width}
+                alike.append(model._replace(fixed=fixed, effective_track=width + 1 / width))
+            words = "none: four wheels of fitted size, with a wheelbase of one track; for the "
+            rows.append(("vehicle", f"{words}intervals also of half a track and of two"))
+        found, fitted, scores = judge(model, logs, maps, kinds, others, alike)
     return FitResult(found, fitted, scores, others or logs, rows)
 
 
@@ -513,13 +517,13 @@ class _Reader(NamedTuple):
         data, inputs = self.problem.spec.data, self.inputs
         columns = dict(data.columns)
         vx, vy = columns.pop("velocity") or (None, None)
-        columns = {name: each for name, each in columns.items() if name not in SIDES}
         if not columns["heading"]:
             names = read_names(path, "a log") if _is_text(path) else ["heading"]
             is_heading = PARTS["heading"][0].match
             has_heading = any(each.lower() in ALIASES[4] or is_heading(each) for each in names)
             columns["heading"] = "heading" if has_heading else None
-        wanted = {name: each for name, each in (columns | {"vx": vx, "vy": vy}).items() if each}
+        columns |= {"vx": vx, "vy": vy}
+        wanted = {name: each for name, each in columns.items() if each and name not in SIDES}
         wanted |= inputs.columns
         wanted |= {"window": data.window} if isinstance(data.window, str) else {}
         units = {"vx": "m/s", "vy": "m/s", "yaw_rate": "rad/s"}
@@ -715,17 +719,12 @@ def facts(result: FitResult) -> Lines:
     if result.outcome is Outcome.INACCURATE:
         share = next(iter(result.scores.values())).share
         verdict += f": errors of {100 * share:.2g} % of the path; check vehicle, units, columns"
-    if result.fit is None:
-        return [("outcome", verdict), *result.rows, *_error_lines(result.scores)]
-    estimate, rows = result.fit.estimate, constant_rows(result.fit)
-    return [
-        ("outcome", verdict),
-        *result.rows,
-        ("fitted windows", str(len(result.fit.errors))),
-        *estimate_lines(rows, dict.fromkeys(as_priors(result.fit), AS_ITS_PRIOR)),
-        *direction_lines(estimate),
-        *_error_lines(result.scores),
-    ]
+    lines = [("outcome", verdict), *result.rows]
+    if fit := result.fit:
+        lines.append(("fitted windows", str(len(fit.errors))))
+        weak = dict.fromkeys(as_priors(fit), AS_ITS_PRIOR)
+        lines += [*estimate_lines(constant_rows(fit), weak), *direction_lines(fit.estimate)]
+    return [*lines, *_error_lines(result.scores)]
 
 
 def estimate_lines(
@@ -831,35 +830,29 @@ def _error_lines(scores: Mapping[WindowKind, Score]) -> Iterator[tuple[str, str]
             f"{100 * row['coverage_turn']:.0f} %; campaigns: {score.campaigns}",
         )
         if count := int(score.is_beyond.sum()):
+            low, high = np.rad2deg([score.grade.min(), score.grade.max()])
             yield (
-                f"{kind.words}, grades beyond those fitted",
-                f"{count} of {score.grade.size} windows",
+                f"{kind.words}, extrapolated",
+                f"{count} of {score.grade.size} windows, with grades from {low:.1f} to {high:.1f} "
+                "deg, are beyond those that were fitted; intervals do not hold there",
             )
 
 
 AXES = "along", "across", "turn"
-COLUMNS = (
-    *("length", "duration", "windows", "logs", "campaigns"),
-    *("position_rms", "position_lower", "position_upper", "position_median"),
-    *("along_rms", "across_rms", "turn_rms", "turn_lower", "turn_upper", "turn_median"),
-    *("reach_along", "reach_across", "reach_turn"),
-    *("coverage_along", "coverage_across", "coverage_turn"),
-)
 
 
 def _row(kind: WindowKind, score: Score) -> dict[str, Any]:
     errors, log = score.errors, score.windows.log
-    values = [
-        *(*kind, log.size, np.unique(log).size, score.campaigns),
-        *by_logs(errors.position, log, rms),
-        float(np.median(errors.position)),
-        *(rms(errors.along), rms(errors.across)),
-        *by_logs(errors.turn, log, rms),
-        float(np.median(np.abs(errors.turn))),
-        *score.reach.mean(axis=1).tolist(),
-        *score.coverage.tolist(),
-    ]
-    return dict(zip(COLUMNS, values, strict=True))
+    row: dict[str, Any] = kind._asdict() | {"windows": log.size, "logs": np.unique(log).size}
+    row["campaigns"] = score.campaigns
+    for name, each in (("position", errors.position), ("turn", errors.turn)):
+        value, low, high = by_logs(each, log, rms)
+        row |= {f"{name}_rms": value, f"{name}_lower": low, f"{name}_upper": high}
+        row[f"{name}_median"] = float(np.median(np.abs(each)))
+    row |= {"along_rms": rms(errors.along), "across_rms": rms(errors.across)}
+    for axis, reach, share in zip(AXES, score.reach, score.coverage.tolist(), strict=True):
+        row |= {f"reach_{axis}": float(reach.mean()), f"coverage_{axis}": share}
+    return row
 
 
 def error_rows(scores: Mapping[WindowKind, Score]) -> list[dict[str, Any]]:
