@@ -455,7 +455,7 @@ def check_mass(vehicle: Vehicle, model: str) -> None:
     if not vehicle.mass:
         raise ModelError(
             f"{model}: expected a vehicle with mass, found none in {vehicle.name!r}; give its "
-            "platform or its wheels a mass"
+            "platform or its wheels a mass, with the key 'mass'"
         )
 
 

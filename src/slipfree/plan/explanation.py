@@ -255,15 +255,13 @@ def explanation(
     """
     missed = violations(program, solution)
     is_infeasible = solution.status == INFEASIBLE_STATUS
+    kept, lines = "a motion that meets all constraints but is not optimal", list[str]()
     if missed:
         kept = "the last iterate" if is_infeasible else "the iterate of least violation"
-    else:
-        kept = "a motion that meets all constraints but is not optimal"
-    words = ipopt_words(solution.status)
-    lines = [f"{words} after {solution.iterations} iterations; the result is {kept}"]
-    if missed:
         lines.append(f"largest violations of this result ({len(missed)} in all):")
         lines += [f"  {violation_words(each)}" for each in missed[:MAX_NAMED_VIOLATIONS]]
+    words = f"{ipopt_words(solution.status)} after {solution.iterations} iterations"
+    lines = [f"{words}; the result is {kept}", *lines]
     if solution.status == STOPPED_STATUS:  # no further search after an interruption
         return Explanation(Outcome.INTERRUPTED, "\n".join(lines))
     relaxation = relax(program, first) if relaxation is None else relaxation

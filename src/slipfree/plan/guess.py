@@ -156,8 +156,7 @@ def choose_guide(
     ]
     if fastest:
         speed = BOUND_SHARE * min(fastest)
-    wheels = [f"{wheel.name}_rate" for wheel in trip.vehicle.wheels if wheel.driven]
-    can_reverse = all(bounds.get(name, (-np.inf, np.inf))[0] < 0 for name in wheels)
+    can_reverse = all(bounds.get(f"{w.name}_rate", (-1.0, 1.0))[0] < 0 for w in trip.vehicle.wheels)
     length = np.hypot(*np.diff(trip.places, axis=0).T).sum()
     if can_reverse and len(trip.places) == 2 and _needs_cusps(trip, radius):
         return Guide("reeds-shepp", speed, radius)

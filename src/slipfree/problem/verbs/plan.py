@@ -448,7 +448,6 @@ def _tracking(setup: OverSolids, run: Trajectory) -> dict[str, Fact]:
 MAX_SAMPLES = 401  # largest number of samples of a plan in the viewer
 PATH_SAMPLES = 121  # samples of the path of an iterate
 STIFFER = 10.0  # factor of the stiffness in a second simulation of pressed wheels
-FORCE_LIMITS = {"drive_torque", "utilisation", "friction_needed", "force_normal"}
 OFFER = (
     'no slow motion was found within these limits; set model = "dynamics" to plan with momentum: '
     "inertia then carries the vehicle where its drives alone do not"
@@ -661,9 +660,8 @@ def _inaccurate(setup: plan_setup.Planning, plan: Plan | LongPlan) -> trajectory
 
 def _separation_words(setup: plan_setup.Planning) -> str:
     """Return a line about where the mobility map separates places of a plan; empty if nowhere."""
-    slow = setup.spec.model == "quasi-static" or not FORCE_LIMITS.isdisjoint(setup.spec.limits)
     places = [place[1:] for place in setup.places]
-    obstacle = separation_words(setup.layers, places, by_friction=slow)
+    obstacle = separation_words(setup.layers, places, by_friction=setup.needs_friction)
     return f"\non the mobility map {obstacle}" if obstacle else ""
 
 
@@ -858,12 +856,10 @@ def with_offer(
     of the plan; the suggestion, after a slow plan without a time limit, is a plan with momentum.
     """
     stop, spec = plan.run.stop, setup.spec
-    slow = spec.model == "quasi-static" or not FORCE_LIMITS.isdisjoint(spec.limits)
-    failed = Outcome.INFEASIBLE, Outcome.SOLVER_FAILURE
-    if stop is None or stop.outcome not in (*failed, Outcome.TIME_LIMIT):
+    if stop is None or stop.outcome is Outcome.INTERRUPTED:
         return stop
     words, bounds = [stop.words + _separation_words(setup)], spec.limits.get("drive_torque")
-    if not slow or stop.outcome is Outcome.TIME_LIMIT:
+    if not setup.needs_friction or stop.outcome is Outcome.TIME_LIMIT:
         return stop._replace(words="\n".join(words))
     if bounds is not None and guesses and "drive_torque" in guesses[0]:
         guess, needed = guesses[0], guesses[0]["drive_torque"].sum(axis=1)

@@ -24,6 +24,7 @@ from slipfree.geometry.regions import Region
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundLaw
+from slipfree.models.base import check_mass
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.rigid_dynamics import rigid_dynamics
 from slipfree.plan import guess
@@ -431,6 +432,7 @@ def regions(problem: Problem[PlanKeys]) -> tuple[Region, ...]:
 
 
 SLIDING_CREEPS = (0.3, 0.1, 0.03)  # creep speeds of consecutive searches of wheels that slide [m/s]
+FORCE_LIMITS = {"drive_torque", "utilisation", "friction_needed", "force_normal"}  # need a mass
 HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes
 HOLE_CLEARANCE = 2.0  # additional distance of plans from holes, in units of plan.accuracy
 
@@ -458,6 +460,11 @@ class Planning(build.Setup):
     def spec(self) -> PlanKeys:
         """Values of the problem."""
         return self.problem.spec
+
+    @property
+    def needs_friction(self) -> bool:
+        """Whether friction must hold the vehicle at rest in each pose: the plan limits forces."""
+        return self.spec.model == "quasi-static" or not FORCE_LIMITS.isdisjoint(self.spec.limits)
 
 
 def build_planning(problem: Problem[PlanKeys]) -> Planning:
@@ -498,6 +505,8 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     for table, values in (("goal", spec.goal), ("limits", spec.limits)):
         for name in values.keys() - own:
             with at(problem, (table, name)):
+                if name in FORCE_LIMITS:
+                    check_mass(vehicle, name)
                 dae.named(name)
     with at(problem, ("plan",)):
         task = plan_task(problem, dae, start)
