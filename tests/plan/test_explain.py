@@ -450,6 +450,9 @@ def test_price_of_a_limited_cost_is_its_lagrange_multiplier():
 def test_a_plan_that_is_not_solved_has_no_prices(model, limit):
     found = planned(model, search=Search(**limit))
     assert (found.success, found.run.outcome is Outcome.TIME_LIMIT) == (False, "seconds" in limit)
+    assert ("before its first iteration: the set-up" in found.run.stop.words) == (
+        "seconds" in limit
+    )
     assert (found.optimality, found.prices) == (None, ())
 
 

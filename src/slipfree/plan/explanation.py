@@ -271,12 +271,10 @@ def explanation(
             f"could be relaxed: {ipopt_words(relaxation.status)}; try another initial guess"
         )
     elif relaxation.relaxed:
-        is_infeasible = True
         lines.append(
             "a motion was found with relaxed bounds (one sufficient set; others may exist):"
         )
     else:
-        is_infeasible = False
         lines.append(
             "no bound has to be relaxed: without the costs, a motion that meets all constraints "
             "was found; try another initial guess"
@@ -293,5 +291,6 @@ def explanation(
         for other in relaxation.opposing:
             bound = f"{other.side} {number(other.label, other.bound)}".lstrip()
             lines.append(f"  {subject(other.label, other.role)}: {bound}")
+    is_infeasible = bool(relaxation.relaxed) if relaxation.success else is_infeasible
     outcome = Outcome.INFEASIBLE if is_infeasible else Outcome.SOLVER_FAILURE
     return Explanation(outcome, "\n".join(lines))

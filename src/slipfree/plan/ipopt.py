@@ -108,9 +108,7 @@ class _IterateWatcher(ca.Callback):
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
         """Record and report an iterate; return ``[1.0]`` to stop IPOPT, otherwise ``[0.0]``."""
         try:
-            values = dict(
-                zip((ca.nlpsol_out(i) for i in range(self.get_n_in())), arguments, strict=True)
-            )
+            values = dict(zip(ca.nlpsol_out(), arguments, strict=True))
             rows = np.array(values["g"]).ravel()
             unknowns = np.array(values["x"]).ravel() * self.program.scale
             over = largest_violation(self.program, rows)

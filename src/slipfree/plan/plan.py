@@ -358,9 +358,8 @@ def solve_task(
         intervals = max(MIN_INTERVALS, math.ceil(length / (INTERVAL_SIZES * model.size)))
     if not task.duration[1] < math.inf:
         task = replace(task, duration=duration_of(default))
-    intervals = mesh.intervals or intervals
     fractions = [condition.fraction for condition in task.conditions]
-    ends = np.union1d(np.linspace(0, 1, intervals + 1), fractions)
+    ends = np.union1d(np.linspace(0, 1, (mesh.intervals or intervals) + 1), fractions)
     first = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], mesh.degree)
     conditions = near_conditions(model, task.conditions, task.periodic, near)
     task = replace(task, conditions=conditions)
@@ -386,18 +385,23 @@ def solve_task(
     best, verification, optima = best_verified(searches, verify, mesh.accuracy, search.progress)
     program, solution = best.program, best.found
     run = sample_plan(program, solution.unknowns) if best.run is None else best.run
-    if not solution.success:
-        why = explanation(program, solution, best.first, best.relaxation)
-        outcome = Outcome.TIME_LIMIT if solution.status == TIME_STATUS else why.outcome
-        run = replace(run, stop=Stop(PLAN, float(run.t[-1]), why.words, outcome))
     iterations = sum(stage.iterations for stage in best.stages)
+    if not solution.success:
+        outcome, words = explanation(program, solution, best.first, best.relaxation)
+        outcome = Outcome.TIME_LIMIT if solution.status == TIME_STATUS else outcome
+        if outcome is Outcome.TIME_LIMIT and not solution.iterations:
+            words = (
+                f"the time limit ended the search {best.stages[-1].words!r} before its first "
+                f"iteration: the set-up and {iterations} iterations of earlier searches left the "
+                f"solver {solution.seconds['total']:.2g} s; raise plan.seconds"
+            )
+        run = replace(run, stop=Stop(PLAN, float(run.t[-1]), words, outcome))
     statistics = {
         "cpu_seconds": time.process_time() - clock,
         "iterations": float(iterations),
         "compiled": float(program.compiled),
     }
-    run = replace(run, statistics=statistics)
-    return replace(_as_plan(best, run, verification), optima=optima)
+    return replace(_as_plan(best, replace(run, statistics=statistics), verification), optima=optima)
 
 
 def _unverified(search: SearchState) -> Plan:

@@ -158,15 +158,14 @@ def plan_windows(
         t = np.linspace(0, duration, max(int(np.ceil(duration / mesh.step)), 1) + 1)
         rough = SolverOptions(tolerance=GUESS_TOLERANCE)
         guess = simulate_to_failure(dae, here.run, law(path), t, rough)
+        gate = TimedCondition(1.0, _gate(dae, guess, ASIDE * overlap))
         window = replace(
             task,
             start=dae.rows("x", here.run, -1),
             duration=(float(guess.t[-1]),) * 2,
             initial_inputs=here.inputs,
+            conditions=(gate,) if end < route.length else task.conditions,
         )
-        if end < route.length:
-            gate = TimedCondition(1.0, _gate(dae, guess, ASIDE * overlap))
-            window = replace(window, conditions=(gate,))
         return solve_task(
             window,
             here.run,
