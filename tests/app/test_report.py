@@ -21,6 +21,7 @@ from helpers.problem_files import VALID
 from slipfree import Analytic, direct_kinematics, settle
 from slipfree.catalog import ackermann, differential_drive, rocky7, skid_steer
 from slipfree.core.errors import DataError
+from slipfree.core.facts import in_short
 from slipfree.files import netcdf
 from slipfree.models.samples import has_friction
 from slipfree.problem.load import load_problem
@@ -209,7 +210,7 @@ def facts(found):
     return dict([*found.facts, *found.details])
 
 
-def test_a_vehicle_file_by_itself():
+def test_a_vehicle_file_by_itself(tmp_path):
     found = describe(DATA / "cart.toml")
     assert not found.faults
     assert found.tree == [
@@ -240,6 +241,17 @@ def test_a_vehicle_file_by_itself():
     notes = [words for name, words in found.facts if name == "vehicle file"]
     assert notes[0] == "omitted, since they carry no wheel and no mass: lidar_mount"
     assert notes[1].startswith("wheel right_drive: its rate is positive forward, opposite")
+    shown = [words for name, words in in_short(found.facts) if name == "vehicle file"]
+    assert shown[-1] == f"tree of parts, and all {len(notes)} notes: slipfree vehicle FILE -v"
+    assert not set(shown) & set(notes[:2])
+    (tmp_path / "p.toml").write_text(
+        f"verb = 'direct'\nframe = 'rep103'\nvehicle.file = '{DATA / 'cart.toml'}'\n"
+        "terrain.synthetic = { x = [-3, 3], y = [-3, 3], spacing = 0.5 }\n"
+        "start = { x = 0.0, y = 0.0, heading = 0.0 }\ntime = { duration = 1.0, step = 0.1 }\n"
+        "inputs = { left_drive_rate = 1.0, right_drive_rate = 1.0 }\n"
+    )
+    assert shown[-1] in invoke("check", tmp_path / "p.toml", code=0).stdout
+    assert notes[1] in invoke("check", tmp_path / "p.toml", "--verbose", code=0).stdout
 
 
 @pytest.mark.slow

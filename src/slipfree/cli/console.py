@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn, TextIO, 
 import typer
 
 from slipfree.core.errors import DataError, ModelError, SlipfreeError, WriteError, shortened
+from slipfree.core.facts import in_short
 from slipfree.core.schema import descriptions
 from slipfree.core.version import __version__
 from slipfree.system import interrupt
@@ -291,8 +292,8 @@ def print_facts(
     """Print facts (pairs of name and text), and add them to the JSON output of the command.
 
     ``details`` are added, but printed only with ``--verbose``; without it, ``main`` is printed in
-    place of the facts if it is given. The key of an indented name is "NAME: INDENTED", where NAME
-    is the last name without indent.
+    place of the facts if it is given, else their notes are in short. The key of an indented name is
+    "NAME: INDENTED", where NAME is the last name without indent.
     """
     output = _current_output()
     values, above = output.content.setdefault("facts", {}), ""
@@ -300,7 +301,7 @@ def print_facts(
         above = above if name.startswith(" ") else name
         key = f"{above}: {name.strip()}" if name.startswith(" ") and above else name.strip()
         values[key] = f"{values[key]}\n{text}" if key in values else text
-    short = facts if main is None else main
+    short = in_short(facts) if main is None else main
     show([*facts, *details] if output.options.verbose else short)
 
 

@@ -121,7 +121,7 @@ def vehicle(
     console.print_line("\n".join([*description.tree[: None if description.faults else 1], ""]))
     console.add_json("tree", lambda: description.tree)
     console.add_json("wheels", lambda: description.wheels)
-    console.print_facts(description.facts, description.details, main=description.main)
+    console.print_facts(description.facts, description.details)
     if description.wheels:
         columns = [TableColumn(name, name) for name in description.wheels[0]]
         console.print_line("\n".join(["", *table(columns, description.wheels)]))

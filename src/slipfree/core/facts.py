@@ -19,6 +19,7 @@ SCALES = {
     **{"mm": 1e3, "mm/s": 1e3, "mm/m": 1e3, "mm2/s": 1e6},
 }
 ROUNDING = 1e-9  # smaller values in the units that people read are printed as zero
+NOTE = "vehicle file"  # name of the facts on the vehicle file
 MAX_LISTED = 5  # largest number of table rows in one line
 
 
@@ -180,3 +181,12 @@ def starting_with(prefix: str, facts: Mapping[str, Any]) -> dict[str, Any]:
     return {
         name.removeprefix(prefix): fact for name, fact in facts.items() if name.startswith(prefix)
     }
+
+
+def in_short(facts: Lines) -> Lines:
+    """Return facts with guesses and other choices on a vehicle in short, without other notes."""
+    notes = [text.partition("; otherwise") for name, text in facts if name == NOTE]
+    shown = [t for t, other, _ in notes if other or t.startswith(("guessed", "clearance w"))]
+    shown += [f"tree of parts, and all {len(notes)} notes: slipfree vehicle FILE -v"]
+    others = [each for each in facts if each[0] != NOTE]
+    return others + [(NOTE, text) for text in shown * bool(notes)]

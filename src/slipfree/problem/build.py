@@ -16,7 +16,7 @@ from slipfree.control.path_following import follow, straight
 from slipfree.control.step_climbing import StepClimbing, check_period, climbing, held_torques
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.facts import Lines
+from slipfree.core.facts import NOTE, Lines
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Column, Trajectory, heading_column
 from slipfree.files.maps.reference_systems import semi_major_axis
@@ -184,7 +184,7 @@ def vehicle_facts(vehicle: Vehicle, crs: str) -> Lines:
         facts.append(("mass", f"{vehicle.mass:g} kg, weight {vehicle.weight:.1f} N"))
         hint = foreign_map_words(vehicle.gravity, semi_major_axis(crs))
         facts.append(("gravity", gravity_words(vehicle.gravity) + hint))
-    return [*facts, *(("vehicle file", note) for note in vehicle.notes)]
+    return [*facts, *((NOTE, note) for note in vehicle.notes)]
 
 
 def wheel_angles_at(run: Trajectory, t: Array) -> Column:

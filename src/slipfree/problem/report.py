@@ -13,7 +13,7 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.facts import Lines, lines, printed_unit
+from slipfree.core.facts import NOTE, Lines, lines, printed_unit
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import FIGURE_SAMPLES, Trajectory, outcome_words
 from slipfree.core.version import __version__
@@ -47,7 +47,6 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 
 VERSION = "_version"
-NOTE = "vehicle file"  # name of the facts on the vehicle file
 ELSEWHERE = (  # attributes reported in other sections
     *("problem", "settings", "history", "title", "date_created", "problem_folder"),
     *(STORED, MAP_TRANSFORM),
@@ -150,16 +149,6 @@ class Description(NamedTuple):
     facts: Lines
     faults: tuple[str, ...]
     details: Sequence[tuple[str, str]] = ()
-
-    @property
-    def main(self) -> Lines:
-        """Facts with missing shapes, guesses and other choices in short, without other notes."""
-        notes = [text for name, text in self.facts if name == NOTE]
-        pieces = [text.partition("; otherwise") for text in notes]
-        shown = [t for t, other, _ in pieces if other or t.startswith(("guessed", "clearance w"))]
-        shown += [f"tree of parts, and all {len(notes)} notes: slipfree vehicle FILE -v"]
-        facts = [each for each in self.facts if each[0] != NOTE]
-        return facts + [(NOTE, text) for text in shown * bool(notes)]
 
 
 def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = ()) -> Description:
