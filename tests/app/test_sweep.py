@@ -515,7 +515,7 @@ def _swept(axes: Sequence[Varied], values: Any) -> Swept:
     return Swept("slip_rms", "m s-1", tuple(axes), np.array(values, dtype=float))
 
 
-def test_one_run_has_no_range_and_values_have_six_digits():
+def test_one_run_has_no_range_and_values_have_nine_digits():
     thirds = Varied("driver.speed", ("0.0866666666667", "0.2"), "m/s")
 
     class NoRows(list[RunRow]):
@@ -525,7 +525,7 @@ def test_one_run_has_no_range_and_values_have_six_digits():
     swept = _swept([thirds], [[1.0, np.nan], [2.0, 3.0]])
     plan: Any = SimpleNamespace(count=3, seeds={})
     _, _, first, second = sweep_facts(plan, NoRows(), {"slip_rms": swept}, ["slip_rms"])
-    assert first == ("  driver.speed = 0.0866667", "1 m/s (1 run)")
+    assert first == ("  driver.speed = 0.0866666667", "1 m/s (1 run)")
     assert second == ("  driver.speed = 0.2", "mean 2.5, 2 to 3 m/s (2 runs)")
 
 

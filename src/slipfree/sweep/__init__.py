@@ -557,7 +557,7 @@ def sweep_facts(
         for k, axis in enumerate(swept.axes):
             parts = np.moveaxis(swept.values, k, 0)
             for value, part in list(zip(axis.values, parts, strict=True))[:MAX_VALUES]:
-                short = f"{float(value):.6g}" if axis.numbers else value
+                short = f"{float(value):.9g}" if axis.numbers else value
                 facts.append((f"  {axis.name} = {short}", _spread(part, unit)))
             if len(parts) > MAX_VALUES:
                 more = f"{len(parts) - MAX_VALUES} more values; {TABLE} lists all"
