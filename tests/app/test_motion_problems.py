@@ -579,10 +579,11 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
 
 @pytest.mark.slow
 def test_a_time_limit_that_ended_the_search_is_in_the_summary(bounded, monkeypatch):
-    assert "time limit" not in dict(motion_facts(bounded.trajectory))
-    monkeypatch.setattr("slipfree.problem.verbs.plan.TIME_STATUS", SOLVED_STATUS)
-    told = dict(motion_facts(run_problem(load_problem(HILLS, QUICK)).trajectory))["time limit"]
-    assert told.endswith("the plan meets all constraints, its cost may not be least")
+    assert "cost" not in dict(motion_facts(bounded.trajectory))
+    ended = {SOLVED_STATUS: "the search ended early"}
+    monkeypatch.setattr("slipfree.problem.verbs.plan.NOT_LEAST", ended)
+    told = dict(motion_facts(run_problem(load_problem(HILLS, QUICK)).trajectory))["cost"]
+    assert told.startswith("may not be least: the search ended early; the plan meets all")
 
 
 @pytest.mark.slow

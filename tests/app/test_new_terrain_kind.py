@@ -50,8 +50,8 @@ def called(*words: str) -> subprocess.CompletedProcess[str]:
     """Run ``slipfree`` with the feature registered."""
     code = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); "
-        "import test_new_terrain_kind as new; new.FEATURES['dunes'] = new.dunes; "
-        "from slipfree.cli import main; main()"
+        "import test_new_terrain_kind as new; from slipfree.terrain.synthetic import FEATURES; "
+        "FEATURES['dunes'] = new.dunes; from slipfree.cli import main; main()"
     )
     return subprocess.run(
         [sys.executable, "-c", code, *words], capture_output=True, text=True, check=False

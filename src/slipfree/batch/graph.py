@@ -352,7 +352,7 @@ def _sampled_states(dae: Dae, state: ca.SX, rows: StateRows) -> Array:
     if continuation is not None:
         samples[rows.stage] = continuation.values[0]
     guessed, _ = evaluate(guess, samples[rows.x], samples[rows.c])
-    unknowns = [guessed[each] for each in dae.block_rows]
+    unknowns = [guessed[each] for each in consecutive(*(each.stop - each.start for each in rows.z))]
     samples[rows.p], samples[rows.f] = unknowns[0], unknowns[2]
     # apart from the ground, entries that vanish in contact would become pivots
     closure, placed = dae.residuals[0], samples.copy()
