@@ -197,7 +197,7 @@ def test_an_infeasible_slow_plan_offers_momentum():
     setup = SimpleNamespace(
         spec=SimpleNamespace(model="quasi-static", limits={"drive_torque": (-6.5, 6.5)}),
         vehicle=catalog.skid_steer(),
-        **{"layers": None, "places": [("start", 0.0, 0.0)]},
+        **{"layers": None, "places": [("start", 0.0, 0.0)], "needs_friction": True},
     )
     found = SimpleNamespace(run=SimpleNamespace(stop=stop))
     words = with_offer(setup, found, [guess]).words
@@ -206,7 +206,7 @@ def test_an_infeasible_slow_plan_offers_momentum():
     assert 'set model = "dynamics" to plan with momentum' in words
     setup.spec.limits = {"drive_torque": (-8.0, 8.0)}
     assert "needs torques" not in with_offer(setup, found, [guess]).words
-    setup.spec.model, setup.spec.limits = "kinematics", {}
+    setup.needs_friction = False
     assert with_offer(setup, found, [guess]) == stop
 
 
