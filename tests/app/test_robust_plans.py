@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.inputs import recipe_of
 from slipfree.problem.result import build
 from slipfree.problem.verbs import plan_search
+from slipfree.problem.verbs.base import Watch
 from slipfree.problem.verbs.plan_search import ReplayTask, replay_draw
 
 pytestmark = pytest.mark.slow
@@ -59,6 +61,18 @@ def test_gains_of_the_inputs_tighten_the_goal_by_their_quantile(tmp_path, monkey
     assert facts["plan_share"].value >= 0.8
     # mean gain of two wheels with independent errors; level 0.9: half of the failures left
     assert y - 2.0 == pytest.approx(2.0 * norm.ppf(0.9) * GAIN / np.sqrt(2), rel=0.5)
+
+
+def test_an_interruption_keeps_the_last_accurate_plan(monkeypatch):
+    def interrupted(first, solve, *_, **__):
+        solve({}, first)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(plan_search, "robust_plan", interrupted)
+    monkeypatch.setattr(plan_search, "solve_tightened", lambda *_: "tightened")
+    problem = sf.load_problem(HILLS, FLAT)
+    setup = SimpleNamespace(problem=problem, spec=problem.spec)
+    assert plan_search.make_robust(setup, "first", None, Watch()).plan == "tightened"
 
 
 def test_draws_are_the_same_in_processes_of_their_own(monkeypatch):

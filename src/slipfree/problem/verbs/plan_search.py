@@ -332,7 +332,8 @@ def make_robust(setup: Planning, first: Plan, progress: PlanProgress, watch: Wat
 
     def solve(tightening: Tightening, before: Plan) -> Plan:
         nonlocal latest
-        return solve_tightened(setup, tightening, before, progress)
+        latest = solve_tightened(setup, tightening, before, progress)
+        return latest
 
     done = dict[int, tuple[DisturbedRun, ...]]()
 
