@@ -179,10 +179,10 @@ except WriteError as error:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    (tmp_path / "p.toml").write_text(document(bases("direct")[0]))
-    (tmp_path / "p.nc").write_bytes(OLD)
-    return tmp_path
+def folder(folder: Path) -> Path:
+    (folder / "p.toml").write_text(document(bases("direct")[0]))
+    (folder / "p.nc").write_bytes(OLD)
+    return folder
 
 
 def _begun(folder: Path, *words: str, **more: Any) -> subprocess.Popen[str]:
@@ -363,7 +363,7 @@ def test_processes_end_in_the_middle_of_a_run_if_the_sweep_is_killed(file: Path)
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         seen, end = psutil.Process(process.pid), time.monotonic() + 600
         while not any(each.cpu_times().user > 2 for each in seen.children(recursive=True)):
-            assert time.monotonic() < end
+            assert process.poll() is None and time.monotonic() < end
             time.sleep(0.05)
         children = seen.children(recursive=True)
         process.kill()
