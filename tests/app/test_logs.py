@@ -252,7 +252,7 @@ REFUSED = {
     ),
     "speeds of wheels, named": (
         table(DRIVE, "t,left [m/s],right [m/s],x,y,heading"),
-        "expected a unit of rad/s .* found m/s; divide the speeds by the radius of the wheels",
+        "expected values in rad/s .* found m/s; divide the speeds by the radius of the wheels",
     ),
     "no rates": (table(DRIVE[:, [0, 3, 4, 5]], "t,x,y,heading"), "found no column 'right'"),
 }

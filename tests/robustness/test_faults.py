@@ -363,7 +363,7 @@ def test_processes_end_in_the_middle_of_a_run_if_the_sweep_is_killed(file: Path)
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         seen, end = psutil.Process(process.pid), time.monotonic() + 600
         while not any(each.cpu_times().user > 2 for each in seen.children(recursive=True)):
-            assert process.poll() is None and time.monotonic() < end
+            assert (process.poll(), time.monotonic() < end) == (None, True)
             time.sleep(0.05)
         children = seen.children(recursive=True)
         process.kill()
@@ -414,7 +414,7 @@ def test_a_scheduler_that_goes_away(file: Path) -> None:
             local.close()
 
     tasks = sweep_cases.tasks_of(file, "time.step=0.1", "time.step=0.05")
-    with pytest.raises(SlipfreeError, match="to the scheduler is lost; what is finished is kept"):
+    with pytest.raises(SlipfreeError, match="to the scheduler is lost; finished runs are kept"):
         list(finish_tasks(tasks, DaskPool(work, local.scheduler_address, print), poll))
 
 

@@ -47,6 +47,7 @@ CALLED = (
     *("atan", "atan2", "sinh", "cosh", "tanh", "exp", "log", "expm1", "log1p", "pow", "fmod"),
     *("hypot", "floor", "ceil"),
 )
+OPERATIONS = {getattr(ca, name): name for name in dir(ca) if name.startswith("OP_")}
 CALLS: dict[int, str] = {getattr(ca, f"OP_{name.upper()}"): name for name in COMPARED}
 CALLS |= {getattr(ca, f"OP_{name.upper()}"): f"v{name}" for name in CALLED}
 CALLS |= {ca.OP_FMIN: "vmin", ca.OP_FMAX: "vmax", ca.OP_FABS: "vabs", ca.OP_CONSTPOW: "vpow"}
@@ -120,7 +121,7 @@ def evaluator_of_graphs(
     """Return the evaluator of graphs, with C code of steps that call them."""
     if compiled and all(each.cells for graph in graphs.every for each in graph.lookups):
         source = _Source(graphs.every, steps)
-        if source.unknown is None:
+        if not source.unknown:
             native, widest = _machine()
             lanes = lanes or widest
             header = Path(__file__).with_name("lanes.c").read_text(encoding="utf-8")
@@ -220,13 +221,13 @@ class _Cells(ctypes.Structure):
 class CodeWriter:
     """C code of functions of the rows ``a`` of a state and of the results ``found`` of lookups.
 
-    ``unknown`` is an operation of CasADi that has no C code, if there is any.
+    ``unknown`` is the name of an operation of CasADi that has no C code; empty if each has.
     """
 
     one, work = "SPLAT(1.0)", "w{}"
 
     def __init__(self) -> None:
-        self.unknown: int | None = None
+        self.unknown = ""
         self._constants: dict[float, int] = {}
 
     def constant(self, value: float) -> str:
@@ -269,7 +270,7 @@ class CodeWriter:
                 elif operation in CALLS:
                     value = self.call(CALLS[operation], w)
                 else:
-                    self.unknown, value = operation, w[0]
+                    self.unknown, value = OPERATIONS[operation], w[0]
                 used.add(found[0])
                 values[found[0]] = self.work.format(found[0])
                 inverses.pop(values[found[0]], None)

@@ -178,7 +178,7 @@ def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
             if options.quiet and options.verbose:
                 print_error("expected --quiet or --verbose, found both; remove one of them")
                 raise typer.Exit(BAD_INPUT)
-            with _unexpected_reported(values.get("file")), reported():
+            with _report_unexpected(values.get("file")), reported():
                 command(**values)
             if _current_output().is_failed:
                 raise typer.Exit(STOPPED)
@@ -219,10 +219,12 @@ def _collecting(name: str, options: OutputOptions) -> Iterator[None]:
 
 
 @contextmanager
-def _unexpected_reported(file: Path | None) -> Iterator[None]:
+def _report_unexpected(file: Path | None) -> Iterator[None]:
     """Print an unexpected error in one line, and exit.
 
-    The line names the input file of the command; ``--verbose`` adds the traceback.
+    The line names the input file of the command; ``--verbose`` adds the traceback. The exit code is
+    that of bad input, since the input is the likely cause, and the one of `STOPPED` promises that a
+    result was written.
     """
     try:
         yield

@@ -203,7 +203,10 @@ def edit(
     last: tuple[object, PlanPage] | None = None
 
     def draw(document: Document) -> PlanPage:
-        """Draw the page of a document, again only if other keys changed."""
+        """Return the page of a document; it is drawn again only if a key outside `PLACES` changed.
+
+        The places (start, goal, way-points, regions) are drawn by the browser.
+        """
         nonlocal last
         problem = document.problem
         spec, file = problem.spec, document.path
@@ -211,7 +214,7 @@ def edit(
         if last is None or last[0] != others:
             drawn = build_ground(problem).grid, build_vehicle(problem)
             more: dict[str, Any] = {"way_points": way_points_in(problem)}
-            more["north_heading"] = spec.frame == "paper"
+            more["north_heading"] = spec.frame == "paper"  # else headings count from the x axis
             last = others, plan_page(spec.title or file.stem, file, *drawn, **more)
         return last[1]
 

@@ -60,7 +60,7 @@ def compare(
         console.print_line("\n".join(table(COMPARED, shown)))
     console.print_line(
         "\n* whether the vehicle can roll without slip at suitable rates\n** largest friction "
-        "coefficient that a wheel requires; forces load-weighted"
+        "coefficient that a wheel requires, with load-weighted contact forces"
     )
     kept = f"the table contains {len(rows)} of {len(problem.spec.vehicles)} vehicles"
     _exit(kept, is_interrupted=is_interrupted)

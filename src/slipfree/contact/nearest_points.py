@@ -632,11 +632,14 @@ def body_clearance(
     symbols: tuple[ca.SX, ca.SX],
     size: float,
 ) -> tuple[BodyClearance, ...]:
-    """Return the clearance of a vehicle's bodies as a check; none without shapes.
+    """Return the clearance of a vehicle's bodies as a check, or nothing if it has no shapes.
 
-    ``parts`` are the poses of the parts by name, ``symbols`` the states and unknowns of the model,
-    ``size`` is its typical length [m].
-    A vehicle with parameters has no checks.
+    Simulations sample the exact clearance of the check; plans use its ``limit``, an expression of a
+    few candidate points (`planned_gap`).
+
+    ``parts`` are the poses of the parts by name in local coordinates, ``symbols`` the states and
+    unknowns of the model, ``size`` is its typical length [m]. A vehicle with parameters, as in
+    fits, has no checks: they need numbers.
     """
     shapes = vehicle.shapes
     if not shapes or vehicle.nominal:

@@ -376,10 +376,10 @@ def _source_text(model: _Model, fields: _Fields, prefix: str) -> dict[str, str]:
     functions = _lines(
         code.graph(prefix, graph) for graph in (*_pose_graphs(model), _inverse_graph(model))
     )
-    if code.unknown is not None:
+    if code.unknown:
         raise ModelError(
-            f"export: expected operations with C code, found number {code.unknown} of CasADi; use "
-            "other functions in the formulas of the vehicle"
+            f"export: expected formulas of the vehicle with operations that have C code, found "
+            f"{code.unknown}; use other functions"
         )
     n, sizes = len(place), model.direct.sizes.x
     return {
@@ -403,7 +403,11 @@ def _source_text(model: _Model, fields: _Fields, prefix: str) -> dict[str, str]:
 
 
 def _test_text(models: Sequence[_Model], grid: Grid, fields: _Fields) -> dict[str, str]:
-    """Return the texts of the test program: places, and poses and rates of the models there."""
+    """Return the texts that `controller_test.c` inserts: its map, and the cases with their results.
+
+    A case has a place, the pose there, a command, and the rates that answer it, from CasADi. The
+    first model is on level ground, the second on the map ``grid``; each has half of the cases.
+    """
     rng, count = np.random.default_rng(0), N_CASES // 2
     cases = [_cases(model, rng, count) for model in models]
     numbers = [np.concatenate(columns) for columns in zip(*cases, strict=True)]

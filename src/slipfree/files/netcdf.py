@@ -140,7 +140,11 @@ def position_columns(run: Trajectory) -> dict[str, Column]:
 
 
 def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> dict[str, str]:
-    """Return the CF attributes of a variable: standard name, axis, coordinates, grid mapping."""
+    """Return the CF attributes of a variable: standard name, axis, coordinates, grid mapping.
+
+    ``on_map`` are the names of the two horizontal coordinates in the reference system of the map;
+    empty if the file has none.
+    """
     attributes = standard_name(name)
     if not is_trajectory(run):
         return attributes

@@ -234,7 +234,7 @@ def read_columns(
         if symbol != si_units.get(name, symbol):
             remedy = REMEDIES.get((si_units[name], symbol), "correct the column or its unit")
             raise DataError(
-                f"{path}: expected a unit of {si_units[name]} of the column {title!r}, found "
+                f"{path}: expected values in {si_units[name]} in the column {title!r}, found "
                 f"{unit}; {remedy}"
             )
         notes += [f"{title} converted from {unit} to {symbol}"] if factor != 1 else []

@@ -182,7 +182,7 @@ def fit_soil(
             f"{folds} folds, found {numbers.size}; give each measurement its own number in the "
             "column 'run', measure more, or reduce 'folds' or the unknowns"
         )
-    spread = repeat_spread(runs)
+    spread = problem.spread
     values, deviations, converged = problem.solve(runs, problem.nominal)
     if not converged:
         raise ModelError(
@@ -262,11 +262,12 @@ class SoilProblem:
         gravity: float = EARTH_GRAVITY,
     ) -> None:
         self._runs = runs
-        self._spread = repeat_spread(runs)
-        # with priors, so few points can be fitted exactly
+        self.spread = repeat_spread(runs)
+        # Smallest deviation of each quantity. With priors, there may be fewer runs than unknowns:
+        # their residuals vanish, and so would the robust deviation.
         share = LEAST_SHARE if np.unique(runs.run).size <= len(unknowns) else 0.0
         known = np.where(np.isfinite(runs.values), np.abs(runs.values), 0.0)
-        self._least = np.where(np.isnan(self._spread), share * known.max(axis=0), 0.0) + SMALLEST
+        self._least = np.where(np.isnan(self.spread), share * known.max(axis=0), 0.0) + SMALLEST
         self.names = [unknown.quantity for unknown in unknowns]
         for unknown in unknowns:
             check_constant(unknown, soil)
@@ -324,7 +325,7 @@ class SoilProblem:
         """Return robust deviations of residuals, at least those of repeats."""
         missed = np.where(np.isfinite(missed).any(axis=0), missed, 0)  # no quantity without values
         robust = np.nanmedian(np.abs(missed), axis=0) / NORMAL_MEDIAN
-        return np.fmax(np.fmax(robust, self._spread), self._least)
+        return np.fmax(np.fmax(robust, self.spread), self._least)
 
     def estimate(self, values: Array, deviations: Array) -> Estimate:
         """Return the estimate with its covariance, for independent runs."""

@@ -240,7 +240,8 @@ def _check_commands(given: GivenRates, vehicle: Vehicle) -> None:
     """Raise ModelError if a vehicle cannot follow the given commands.
 
     Commands must be known, different and, if exact, no more than the driven wheels. ``right`` must
-    be among them if all driven wheels have rollers.
+    be among them if all driven wheels have rollers. Commands determine steering angles, so that
+    ``solve_for`` must be ``"angles"``; ``"rates"`` is for three given rates.
     """
     names, exact, found = given.names, given.exact, ", ".join(given.names)
     if unknown := [name for name in names if name not in COMMANDS]:

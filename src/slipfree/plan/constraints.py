@@ -123,7 +123,11 @@ def constraints_of(program: Program) -> Iterator[Constraint]:
 
 
 def worst_violations(program: Program, values: Array) -> Iterator[tuple[float, Violation]]:
-    """Yield the largest violation of each violated bound, with its relative size first."""
+    """Yield the relative size and the largest violation of each violated bound.
+
+    ``values`` are those of the constraint functions, then of the unknowns, as in
+    `Constraint.where`.
+    """
     duration = values[program.g_lower.size + program.layout.duration]
     for group in constraints_of(program):
         size = size_of(group, values)

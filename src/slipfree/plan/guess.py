@@ -109,9 +109,10 @@ def trip_of(task: PlanTask, dae: Dae, start: Trajectory) -> Trip:
 
 
 def on_map(name: str, axis: str, bounds: Range, domain: tuple[float, ...]) -> Range:
-    """Return the part on the map of a range of x or y at a goal or way-point, by its name [m].
+    """Return the part of a range of x or y that lies on the map [m].
 
-    ModelError is raised if the whole range is off the map.
+    ``name`` is that of the goal or way-point, for the ModelError if no part does; ``domain`` has
+    the ends of the map in x, then in y [m].
     """
     west, east = domain[:2] if axis == "x" else domain[2:]
     low, high = max(bounds[0], west), min(bounds[1], east)

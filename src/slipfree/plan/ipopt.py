@@ -249,9 +249,9 @@ def _to_solution(scale: Array, results: dict[str, Any], stats: dict[str, Any]) -
 
 
 @with_interrupt_guard
-def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> NlpSolution:
+def solve_nlp(nlp: Nlp) -> NlpSolution:
     """Return the solution of a nonlinear program, or raise SolverError."""
-    ipopt = IPOPT_OPTIONS | {"max_iter": iterations, "mu_strategy": "adaptive"}
+    ipopt = IPOPT_OPTIONS | {"max_iter": MAX_ITERATIONS, "mu_strategy": "adaptive"}
     problem = {"x": nlp.x, "f": nlp.f, "g": nlp.g}
     solver = ca.nlpsol("nlp", "ipopt", problem, {**QUIET, "ipopt": ipopt})
     results = solver(

@@ -286,7 +286,7 @@ def refine(window: Horizon, start: Trajectory, inputs: Array) -> Cycle:
     if run.stop is not None:
         raise SolverError(
             f"refine: expected a motion over the window of {span:g} s, found one that ends at "
-            f"{run.t[-1]:.4g} s: {run.stop.words}; use the sampled inputs",
+            f"{run.t[-1]:.4g} s: {run.stop.words}; apply the sampled inputs without refining them",
             run,
         )
     at = np.abs(times[:, None] - nodes).argmin(axis=0)

@@ -246,7 +246,10 @@ def wheel_rows(vehicle: Vehicle) -> list[Mapping[str, str]]:
 
 
 def dimensions(vehicle: Vehicle) -> Lines:
-    """Return track, wheelbase, and total mass with its centre, with all coordinates at zero."""
+    """Return track, wheelbase, and total mass with its centre, with all coordinates at zero.
+
+    The centre of mass is in the frame of the platform.
+    """
     across, along, _ = np.ptp(vehicle.centers, axis=0)
     masses = [*vehicle.masses()]
     total = sum(mass for _, mass, _ in masses)

@@ -431,7 +431,7 @@ def reasons_by_kind(layers: Traversability, x: float, y: float) -> dict[str, str
 
 
 def more_friction_words(factor: float) -> str:
-    """Return a text about friction that would have to be larger by a factor."""
+    """Return a message for a vehicle that needs ``factor`` times the friction of the ground."""
     return f"the vehicle needs at least {factor:.3g} times the friction of the ground"
 
 

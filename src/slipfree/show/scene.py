@@ -368,9 +368,13 @@ def layer(name: str, values: Array, legend: str, low: float, high: float) -> Lay
 def map_lines(
     drawn: Grid, terrain: Terrain, window: Window, origin: Array, reach: float
 ) -> tuple[Lines, ...]:
-    """Return contours, grid and north arrow of the ground within ``reach`` of the vehicle [m]."""
+    """Return contours, a grid of coordinates and the north arrow of the drawn ground.
+
+    ``window`` has the ends of the drawn ground in x, then in y, and ``origin`` is the origin of the
+    scene, both in map coordinates [m]; the lines are in scene coordinates. ``reach`` is the size of
+    the vehicle, by which lines are lifted above the ground [m].
+    """
     above = origin - np.array([0.0, 0.0, LIFT * reach])
-    # lines of equal coordinates, and the arrow to the north
     west, east, south, north = window
     long = max(east - west, north - south)
     step = round_step(long / CELLS)

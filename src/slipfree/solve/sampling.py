@@ -98,18 +98,16 @@ def correct_samples(system: System, samples: Samples) -> tuple[Samples, dict[str
     """
     if not system.motion_size:
         return samples, {}
-    z, steps, lefts = samples.z.copy(), list[Array](), list[Array]()
+    z, steps, errors = samples.z.copy(), list[Array](), list[Array]()
     for block in system.blocks:
         z, step, left = _correct_block(block, samples._replace(z=z))
         steps.append(step)
-        lefts.append(left)
-    size = np.max([_max_abs(left) for left in lefts], axis=0)
+        errors.append(left)
+    size = np.max([_max_abs(left) for left in errors], axis=0)
     # The negation also selects residuals that are NaN.
     if (astray := ~(size < UNSOLVED_RESIDUAL)).any():
-        z = _solve_from_neighbours(system, samples, z, astray)
-        corrected = samples._replace(z=z)
-        lefts = [_evaluate_block(block.residual, block, corrected)[0] for block in system.blocks]
-    found, report = complete_samples(system, samples._replace(z=z), lefts)
+        z, errors = _solve_from_neighbours(system, samples, z, astray), []
+    found, report = complete_samples(system, samples._replace(z=z), errors)
     return found, {"newton_step": steps[0], **report}
 
 
@@ -194,20 +192,19 @@ def _singular_values(system: System, samples: Samples) -> Array:
 
 
 def complete_samples(
-    system: System, samples: Samples, lefts: Sequence[Array] | None = None
+    system: System, samples: Samples, errors: Sequence[Array] = ()
 ) -> tuple[Samples, dict[str, Array]]:
     """Return the samples with the unknowns that depend on the motion, and a report of residuals.
 
     The report contains the smallest singular value of the Jacobian of the motion's equations, which
     is zero at a singular configuration, and the largest residual of each block. They are NaN where
-    the equations are not finite. ``lefts`` are the residuals of the blocks of the motion; they are
+    the equations are not finite. ``errors`` are the residuals of the blocks of the motion; they are
     computed if omitted.
     """
     n, z = system.motion_size, samples.z.copy()
     report = {"singular_value": _singular_values(system, samples)}
-    if lefts is None:
-        lefts = [_evaluate_block(block.residual, block, samples)[0] for block in system.blocks]
-    for block, left in zip(system.blocks, lefts, strict=True):
+    errors = errors or [_evaluate_block(b.residual, b, samples)[0] for b in system.blocks]
+    for block, left in zip(system.blocks, errors, strict=True):
         report[f"{block.labels[0].name}_residual"] = _block_residual(system, block, left)
     if system.dependent_blocks:
         z[n:] = evaluate(guess_function(system.dae), samples.x)[0][n:]

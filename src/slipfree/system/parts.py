@@ -273,7 +273,7 @@ class Parts(Generic[D]):
     def _unwritable(self, error: OSError) -> WriteError:
         return WriteError(
             f"{self._log}: cannot be written ({error.strerror}); free disk space or "
-            f"{ANOTHER_FOLDER}; what is finished is kept"
+            f"{ANOTHER_FOLDER}; finished parts are kept"
         )
 
 

@@ -140,8 +140,8 @@ class Processes(Generic[T, D]):
             how = _exit_words(process.process.exitcode)
             if process.started.exception():
                 raise SlipfreeError(
-                    f"a worker process could not start ({how}): see its output above; what is "
-                    "finished is kept"
+                    f"a worker process could not start ({how}): see its output above; "
+                    "finished runs are kept"
                 ) from error
             raise ProcessDiedError(f"a worker process died ({how})") from error
         self._idle.append(process)
@@ -265,8 +265,8 @@ class DaskPool(Generic[T, D]):
 
     def _gone(self) -> SlipfreeError:
         return SlipfreeError(
-            f"--scheduler {self._address}: the connection to the scheduler is lost; what is "
-            "finished is kept; start a scheduler and repeat the command to continue"
+            f"--scheduler {self._address}: the connection to the scheduler is lost; "
+            "finished runs are kept; start a scheduler and repeat the command to continue"
         )
 
 

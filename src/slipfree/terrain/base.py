@@ -71,18 +71,22 @@ def _polynomial_function(orders: tuple[tuple[int, int], ...]) -> ca.Function:
     most = max(n for _, n in orders)
     # along x in every row of derivatives, then along y: Horner's scheme with factorials
     rows = [
-        _sums([values[m, n] for m in range(most + 1) if (m, n) in values], x - found[0])
+        _taylor([values[m, n] for m in range(most + 1) if (m, n) in values], x - found[0])
         for n in range(most + 1)
     ]
-    h, h_y, h_yy = _sums([row[0] for row in rows], y - found[1])
-    h_x, h_xy, _ = _sums([row[1] for row in rows], y - found[1])
-    h_xx = _sums([row[2] for row in rows], y - found[1])[0]
+    h, h_y, h_yy = _taylor([row[0] for row in rows], y - found[1])
+    h_x, h_xy, _ = _taylor([row[1] for row in rows], y - found[1])
+    h_xx = _taylor([row[2] for row in rows], y - found[1])[0]
     jet = h, ca.vertcat(h_x, h_y), ca.blockcat([[h_xx, h_xy], [h_xy, h_yy]])
     return ca.Function("jet", [found, x, y], [*jet])
 
 
-def _sums(derivatives: Sequence[ca.SX], away: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return a Taylor polynomial and its first two derivatives at a distance from its centre."""
+def _taylor(derivatives: Sequence[ca.SX], away: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return a Taylor polynomial and its first two derivatives at a distance from its centre.
+
+    ``derivatives`` are those at the centre, from order zero. Horner's scheme contains the
+    factorials: f_0 + d (f_1 + d/2 (f_2 + d/3 f_3)).
+    """
     sums = []
     for order in range(3):
         total = ca.SX(0)

@@ -18,7 +18,7 @@ from slipfree.vehicle.shapes import Box
 
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 DUMMY_MASS = 0.01  # largest mass of links that only place the robot, in masses of the robot
-MAX_LIMIT = 1e3  # larger limits are ignored [rad, m, rad/s or m/s]
+MAX_LIMIT = 1e3  # larger limits mean none, as 1e16 from SDF [rad, m, rad/s or m/s]
 FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
 NOTHING: Mapping[str, str] = {}
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -245,7 +245,12 @@ def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> tree.Geo
 
 
 def _joint(element: Element, findings: tree.Findings) -> tree.UrdfJoint:
-    """Return the joint of a ``<joint>`` element."""
+    """Return the joint of a ``<joint>`` element.
+
+    A revolute joint without finite limits is ``continuous``, as wheels are. If one
+    of ``lower`` and ``upper`` is missing, it is zero, as URDF specifies; without both, there is no
+    limit. A largest rate of zero means none.
+    """
     name = _UrdfElement(element, findings, "joint").name("name")
     kind = element.attributes.get("type", "")
     joint = _UrdfElement(element, findings, f"joint {name!r}")
@@ -256,7 +261,7 @@ def _joint(element: Element, findings: tree.Findings) -> tree.UrdfJoint:
     for tag, link in zip(("parent", "child"), ends, strict=True):
         if not link:
             joint.wrong(f'expected <{tag} link="..."/>, found none; add it')
-    at, turned = joint.origin()
+    at, rpy = joint.origin()
     pointed, axis = joint.first("axis", "axis"), ORIGIN if kind == "fixed" else FORWARD
     if pointed is not None:
         axis = pointed.vector("xyz", FORWARD)
@@ -280,8 +285,7 @@ def _joint(element: Element, findings: tree.Findings) -> tree.UrdfJoint:
         factor, offset = mimic.number("multiplier", 1.0), mimic.number("offset", 0.0)
         follows = tree.Mimic(mimic.name("joint"), factor, offset)
     return tree.UrdfJoint(
-        *(name, kind, ends[0], ends[1], at, turned, axis, lower, upper, max_rate, follows),
-        line=element.line,
+        name, kind, ends[0], ends[1], at, rpy, axis, lower, upper, max_rate, follows, element.line
     )
 
 

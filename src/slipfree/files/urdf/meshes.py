@@ -52,7 +52,7 @@ SHRINK = 1e-3  # a hull that shrinks by less needs no further corner [m]
 DIRECTIONS = np.array([d for d in product((-1, 0, 1), repeat=3) if any(d)])  # of first corners
 RIM_POINTS = 16  # number of points on a rim of a cylinder
 FACE_POINTS = 8  # number of intervals along each side of the grid on the lower faces of a hull
-CLEAR = 1e-3  # shapes closer to the level ground of the wheels are left out [m]
+TOUCH_HEIGHT = 1e-3  # shapes closer to the level ground of the wheels are left out [m]
 SAME = 1e-6  # positions that coincide [m]
 
 
@@ -280,7 +280,7 @@ def body_shapes(
             in_root = placed(shape, *tree.frames[link.name])
             if isinstance(in_root, Ball) and np.abs(centers - in_root.at).max(axis=1).min() < SAME:
                 continue  # the ball of a caster, which is a wheel
-            if min(z for _, _, z in in_root.points) - in_root.radius < ground + CLEAR:
+            if min(z for _, _, z in in_root.points) - in_root.radius < ground + TOUCH_HEIGHT:
                 touching.append(link.name)
                 continue
             reduced += [f"{link.name} {reduction}"] if reduction else []

@@ -76,7 +76,7 @@ NEARLY = 0.02  # largest such difference that is not reported
 TRAIL, MAX_TRAIL = 0.2, 2.0  # trail of wheels that swivel freely [radii]; longer ones articulate
 SMALL_CASTER = 0.8  # largest radius of casters without a name or a swivel [radius of others]
 PARALLEL = 0.9  # least cosine of the angle between parallel axles
-TOUCH = 0.1  # a ball touches the ground of the wheels within this part of its radius
+BALL_TOUCH = 0.1  # a ball touches the ground of the wheels within this part of its radius
 FULL_TURN = 6.2  # least range of joints whose limits are those of a careless export [rad]
 MIN_ROLLERS = 3  # wheels with rollers have more of them
 MIN_ROLLER_ANGLE = 10.0  # least angle of rollers [degrees]
@@ -630,7 +630,7 @@ def casters(
             known |= names
         elif tree.is_last(joint) and [shape.kind for shape in shapes] == ["sphere"]:
             radius = shapes[0].radius
-            if abs(tree.bottom(joint.child, shapes) - ground) <= TOUCH * radius:
+            if abs(tree.bottom(joint.child, shapes) - ground) <= BALL_TOUCH * radius:
                 reason = "it is a sphere that touches the ground of the wheels"
                 yield joint.name, names, _ball(radius, reason)
 
@@ -671,7 +671,12 @@ def _lowest_part(
 
 
 def with_separate_balls(tree: Tree) -> Tree:
-    """Return a URDF in which balls of casters that are part of the chassis have their own links."""
+    """Return a URDF in which balls of casters that are part of the chassis have their own links.
+
+    Simulators model a caster as a frictionless sphere of the chassis, without a joint; as a link of
+    its own it is a wheel for the rest of the reader. A sphere is such a ball if it touches the
+    ground below the other links.
+    """
     links, joints = dict(tree.links), dict(tree.joints)
     bottoms = {name: tree.bottom(name, link.shapes) for name, link in links.items()}
     moving = [joint for joint in tree.joints.values() if joint.moves]
@@ -679,7 +684,7 @@ def with_separate_balls(tree: Tree) -> Tree:
         ground = min((z for other, z in bottoms.items() if other != name), default=np.inf)
         for k, ball in enumerate(tree.links[name].shapes):
             height = abs(tree.bottom(name, [ball]) - ground)
-            new, above = f"{name}_ball_{k + 1}", TOUCH * ball.radius < height < np.inf
+            new, above = f"{name}_ball_{k + 1}", BALL_TOUCH * ball.radius < height < np.inf
             if ball.kind != "sphere" or above or new in joints or new in links:
                 continue
             rest = tuple(shape for shape in links[name].shapes if shape != ball)

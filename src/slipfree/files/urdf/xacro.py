@@ -213,6 +213,10 @@ class _Values:
         return limited
 
     def _command(self, match: re.Match[str]) -> str:
+        """Return the value of ``$(arg NAME)``, ``$(optenv NAME DEFAULT)`` or ``$(dirname)``.
+
+        Other commands stay. The environment is not read, so that a file has one meaning.
+        """
         name, *words = match[1].split() or [""]
         if name == "optenv" and words:
             self.variables[words[0]] = default = " ".join(words[1:])
@@ -222,6 +226,10 @@ class _Values:
         return "." if name == "dirname" and not words else match[0]
 
     def _expression(self, match: re.Match[str]) -> str:
+        """Return the value of ``${...}``, or the text as it is if a property is unknown.
+
+        As in Python, whole numbers without ``/``, a point or an exponent stay integers.
+        """
         text = match[1].strip().replace("math.pi", "pi")
         if text in self.properties and "$" not in self.properties[text]:
             return self.properties[text]
@@ -233,6 +241,7 @@ class _Values:
         if not all(each.is_regular() for each in (ca.SX(number), *values.values())):
             return match[0]
         is_whole = number.is_integer() and not re.search(r"[./e]", text)
+        # a double represents integers below 1e15 exactly
         return str(int(number)) if is_whole and abs(number) < 1e15 else repr(number)
 
 

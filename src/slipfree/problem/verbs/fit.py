@@ -825,7 +825,7 @@ def _error_lines(scores: Mapping[WindowKind, Score]) -> Iterator[tuple[str, str]
             f"rms {row['position_rms']:.3g} m{interval if row['logs'] > 1 else ''}, "
             f"{100 * score.share:.2g} % of the path, {np.rad2deg(row['turn_rms']):.3g} deg; "
             f"{row['windows']} windows, 90 % intervals +-{row['reach_along']:.2g} m, "
-            f"+-{row['reach_across']:.2g} m, +-{np.rad2deg(row['reach_turn']):.2g} deg hold "
+            f"+-{row['reach_across']:.2g} m, +-{np.rad2deg(row['reach_turn']):.2g} deg contain "
             f"{100 * row['coverage_along']:.0f}, {100 * row['coverage_across']:.0f}, "
             f"{100 * row['coverage_turn']:.0f} %; campaigns: {score.campaigns}",
         )

@@ -338,7 +338,7 @@ def _faults(spec: plan_setup.PlanKeys) -> Iterator[Fault]:
             ("costs",), f"one cost, of {', '.join(contact_path.COSTS)}", f"{len(spec.costs)}"
         )
     if "utilisation" in spec.limits and spec.costs.get("friction"):
-        found = "it; remove it, or choose another cost"
+        found = "the limit; remove it, or choose another cost"
         yield Fault(("limits", "utilisation"), "no limit with the cost 'friction'", found)
 
 

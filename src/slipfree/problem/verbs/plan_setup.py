@@ -309,7 +309,8 @@ class PlanKeys(schema.Modelled):
         given = [name for name in names if getattr(search, name) is not None]
         for name in given + ["starts"] * (search.starts > 1):
             expected = f"no {name!r} with model = 'dynamics'"
-            yield toml.Fault(("plan", name), expected, "it; remove it, or plan without inertia")
+            found = f"the key {name!r}; remove it, or plan without inertia"
+            yield toml.Fault(("plan", name), expected, found)
 
 
 Place = tuple[str, float, float]
@@ -542,7 +543,11 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
 def build_layers(
     problem: Problem[PlanKeys], terrain: Bicubic, vehicle: Vehicle, places: tuple[Place, ...]
 ) -> Traversability:
-    """Return where the vehicle can be; with costs of its poses if a route may be searched."""
+    """Return the nodes that the vehicle can reach, with costs of poses if a route is searched.
+
+    No route is searched if inputs or a driver with a given path are the initial guess. ``places``
+    are start, way-points and goal with their names.
+    """
     spec, driver, keep_out = problem.spec, problem.spec.driver, regions(problem)
     if spec.inputs is not None or (driver is not None and driver.name != "route"):
         return free_space(terrain, vehicle, keep_out=keep_out)
