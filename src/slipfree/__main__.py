@@ -56,6 +56,7 @@ def main() -> None:
 
 
 def _run() -> None:
+    """Run the command line, after set-up that must precede the import of numpy."""
     interrupt_at_signals()
     from slipfree.system.forks import single_thread
 

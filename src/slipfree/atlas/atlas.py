@@ -140,7 +140,8 @@ class Atlas(Drawable):
     def __getitem__(self, name: str) -> Array:
         """Return the values of a band, shape (n_headings, n_x, n_y)."""
         if name not in self.bands:
-            raise ModelError(f"expected one of the bands {', '.join(self.bands)}, found {name!r}")
+            known = ", ".join(self.bands)
+            raise ModelError(f"expected one of the bands {known}, found {name!r}; correct the name")
         return self.bands[name].values
 
     @property
@@ -373,7 +374,11 @@ def pose_evaluator(
     quantities: frozenset[str] | None = None,
     compiled: bool = True,
 ) -> PoseEvaluator:
-    """Return the evaluators of the poses of a model; cached, since they serve all tiles."""
+    """Return the evaluators of the poses of a model; cached, since they serve all tiles.
+
+    ``with_corners`` adds poses on the ground shifted under each wheel; ``quantities`` are the names
+    of the bands, by default all.
+    """
     evaluate = evaluator_of(model, compiled=compiled)
     graphs = evaluate.graphs
     holding = None if graphs.stages else model.holding  # soil holds wheels, not friction
@@ -432,7 +437,11 @@ def bands_of(
     guarantee: float | None = None,
     is_moving: bool = False,
 ) -> dict[str, Label]:
-    """Return the labels of the bands; there is one of energy if the vehicle moves."""
+    """Return the labels of the bands; there is one of energy if the vehicle moves.
+
+    ``error`` is the shift of the ground at corner poses, ``guarantee`` the largest error of heights
+    for proved bounds [m]; both may be None.
+    """
     labels = {REASON.name: REASON} | {
         name: each.label for name, each in evaluator.reductions.items()
     }
@@ -476,7 +485,11 @@ def tile_of(
 ) -> dict[str, Array]:
     """Return the bands of a tile, shape (n_headings, n_x, n_y).
 
-    Those at the corners of the cube of shifts of the ground under the wheels have no numbers where
+    ``x``, ``y`` are nodes [m], ``heading`` headings [rad], ``inputs`` rates of a moving vehicle by
+    name; ``error`` and ``guarantee`` are those of `bands_of`, ``tolerance`` is that of the least
+    friction.
+
+    Bands at the corners of the cube of shifts of the ground under the wheels have no numbers where
     the vehicle does not stand at a corner, nor where the pose on the map is not between those at
     the corners: there, a corner pose is another rest, as beside a wall.
     """

@@ -312,7 +312,12 @@ def least_friction_of_loads(terms: Terms, tolerance: float) -> FrictionBounds:
 def _load_step(
     c: Array, load: Array, y: Array, level: Array, low: Array, high: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Return virtual rates, level and bounds after a Newton step and one along the path."""
+    """Return virtual rates, level and bounds after a Newton step and one along the path.
+
+    ``c`` are the slips of virtual rates, times the friction limits, shape (n, n_wheels, 2,
+    n_rates); ``load`` and the virtual rates ``y`` have the shape (n, n_rates). ``level`` is the
+    factor sigma of `least_friction_of_loads`, ``low`` and ``high`` are its bounds so far.
+    """
     s = np.einsum("nikw,nw->nik", c, y)
     size, sigma = (s**2).sum(axis=-1), level[:, None]
     root = np.sqrt(1 + 4 * sigma**2 * size)

@@ -177,8 +177,10 @@ class _Compiled(EvaluatorOf[G]):
     ) -> bool:
         """Fill in the results of motions as `motion._drive_plainly`; return whether there is code.
 
-        It is not for a model whose rates need iterations. Samples are certified by the ``bounds``
-        of wheels, by their rows in the graph "placing". Signals are served between blocks of lanes.
+        Arguments are those of `motion._drive_plainly`; ``numbers`` those of `motion._Numbers`.
+        There is no code for a model whose rates need iterations. Samples are certified by the
+        ``bounds`` of wheels, by their rows in the graph "placing". Signals are served between
+        blocks of lanes.
         """
         if self._steps is None:
             return False

@@ -307,6 +307,11 @@ def elimination(dae: Dae, state: ca.SX, rows: StateRows) -> Solve:
     samples = _sampled_states(dae, state, rows)
 
     def solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
+        """Return the solution as an expression, by elimination with the fewest operations.
+
+        Pivots are chosen from the numbers of the samples; those on the diagonal of a symmetric
+        matrix, if they are large enough.
+        """
         (values,) = evaluate(dae.function("matrix", [state], [ca.densify(ca.vec(matrix))]), samples)
         (m, n), solution = matrix.shape, None
         turned = values.T[np.isfinite(values).all(axis=0)].reshape(-1, n, m)
@@ -384,7 +389,11 @@ def _sampled_states(dae: Dae, state: ca.SX, rows: StateRows) -> Array:
 def _eliminated(
     matrix: ca.SX, right: ca.SX, numbers: Array, *, symmetric: bool
 ) -> tuple[ca.SX, float]:
-    """Return the solution, and the smallest pivot relative to its row in all samples."""
+    """Return the solution, and the smallest pivot relative to its row in all samples.
+
+    ``numbers`` are values of the matrix (n_samples, m, n), changed here; ``symmetric`` chooses
+    pivots on the diagonal.
+    """
     (m, n), smallest = matrix.shape, np.inf
     entries = [matrix[i, j] for i, j in zip(*matrix.sparsity().get_triplet(), strict=True)]
     a = dict(zip(zip(*matrix.sparsity().get_triplet(), strict=True), entries, strict=True))
@@ -429,7 +438,9 @@ def _pivot(
 ) -> tuple[int, int, float]:
     """Return the entry with the fewest new entries among those that are large in every sample.
 
-    The last result is its smallest value relative to its row.
+    ``a`` are the entries that are not zero, ``numbers`` their values (n_samples, m, n), ``rows``
+    and ``columns`` those that are left. The last result is the smallest value of the entry relative
+    to its row.
     """
     r, c = sorted(rows), sorted(columns)
     left = np.abs(numbers[:, r][:, :, c])

@@ -544,6 +544,10 @@ def _known_sources(dae: Dae) -> dict[str, Wanted]:
 
 
 def _values(evaluate: Evaluator, sources: Mapping[str, Wanted], samples: Array) -> dict[str, Array]:
+    """Return wanted quantities at samples, shape (m, n_rows, n), by name.
+
+    The results have the shape (n, m) or, for quantities of wheels, (n, m, n_wheels).
+    """
     outputs = samples
     if any(source.is_output for source in sources.values()):
         samples = np.ascontiguousarray(samples)

@@ -186,7 +186,12 @@ def candidate_lanes(
 def _integrate(
     evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float, *, certify: bool
 ) -> Motions:
-    """Return the motions of lanes: integrate, check the samples, locate the ends."""
+    """Return the motions of lanes: integrate, check the samples, locate the ends.
+
+    ``states`` (n_rows, n) are the starts, ``inputs`` (n_u, m - 1, n) are constant between the times
+    ``t`` (m,), ``step`` is the largest length of a step along the path [m], and ``certify`` adds
+    the checks of samples.
+    """
     rows, states = evaluate.graphs.rows, states.copy()
     states[rows.u], states[rows.t] = inputs[:, 0], t[0]
     # the defect says little where relaxation or creep is faster than the steps
@@ -418,7 +423,12 @@ class _Ends:
         self._search_parts(lanes[left], last.of(left), np.ones(left.sum(), dtype=int))
 
     def locate_limits(self, lanes: Indices) -> None:
-        """Locate limits in the last steps of lanes; end at contacts that come before them."""
+        """Locate the ends of lanes at limits in their last steps.
+
+        The end is where the first margin becomes negative, found by secants and bisection. A lane
+        at which no such point is found is lost. With ``certify``, a contact of another point of a
+        wheel before it ends the lane there.
+        """
         if not lanes.size:
             return
         graph, one = self.evaluate.graphs.checked, np.ones(lanes.size, dtype=int)

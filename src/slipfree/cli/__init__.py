@@ -44,6 +44,7 @@ class _CommandGroup(TyperGroup):
 
     @contextmanager
     def _reporting(self, words: Sequence[str]) -> Iterator[None]:
+        """Report errors outside of the command: of its options, and of closed streams."""
         try:
             yield
         except KeyboardInterrupt as error:  # before or after the command

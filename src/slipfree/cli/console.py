@@ -164,6 +164,7 @@ def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def wrapped(*, quiet: bool, verbose: bool, json: bool, **values: Any) -> None:
+        """Run the command with the options of output, which it does not have itself."""
         pairs = zip((quiet, verbose, json), _global_options[0], strict=True)
         options = OutputOptions(*map(any, pairs))
         with _collecting(command.__name__, options):
@@ -396,6 +397,7 @@ def reporting(duration: float | None) -> Iterator[Reports]:
     seldom = _sparse(detail, NEW_PHASE) if is_verbose else seldom
 
     def show_time(t: float) -> None:
+        """Show the time that the integration has reached, on a bar or now and then in a line."""
         nonlocal begun
         interrupt.check_interrupt()
         if is_verbose and not begun:

@@ -161,6 +161,11 @@ def _log_fit(
     trust: list[Path] | None,
     predict: Sequence[Path],
 ) -> _FitWork:
+    """Return the work of a fit to logs, or of a prediction by a stored fit.
+
+    ``named`` are the files of ``--map`` and ``--vehicle``. With ``--predict``, the files after the
+    first are logs to predict, too.
+    """
     from slipfree.files.netcdf import FIT, attributes_of
     from slipfree.files.toml import MADE
     from slipfree.files.vehicle_toml import toml_value, vehicle_text
@@ -189,6 +194,7 @@ def _log_fit(
         problem = load_again(Path(file.name), MADE + text, settings, command="fit")
 
     def solve() -> _FitResult:
+        """Return the result of the fit or of the prediction."""
         if contents is not None:
             is_named = any(each.startswith("data.surfaces") for each in settings)
             surfaces = problem.spec.data.surfaces if is_named else ()
@@ -220,12 +226,14 @@ def _log_fit(
 
 
 def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
+    """Return the work of a fit of a soil to the points of a wheel file."""
     from slipfree.problem import wheel_test
     from slipfree.show.study_figures import soil_plot
 
     contents = wheel_test.read_wheel_file(file, settings)
 
     def solve() -> _FitResult:
+        """Return the result of the fit of a soil."""
         fitted = wheel_test.fit_wheel_file(contents)
         fit, constants = fitted.fit, wheel_test.constant_rows(fitted.fit)
         return _FitResult(

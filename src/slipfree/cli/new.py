@@ -133,6 +133,10 @@ def new(
 
 
 def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, dict[str, Any]]) -> str:
+    """Return the text of a problem with another title, and with tables in place of its own.
+
+    In a plan, tables about the motion are removed as well: they belong to the shipped ground.
+    """
     own = ""
     for name, table in tables.items():
         own += f"[{name}]{f'  # {TABLES[name]}' if name in TABLES else ''}\n"
@@ -232,6 +236,8 @@ def examples(
 
 
 def _shipped() -> dict[str, Traversable]:
+    """Return the shipped problems by name, those in folders last."""
+
     def below(folder: Traversable, path: str) -> Iterator[tuple[str, Traversable]]:
         for each in sorted(folder.iterdir(), key=lambda each: (each.is_dir(), each.name)):
             if each.is_dir():

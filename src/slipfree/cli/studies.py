@@ -254,6 +254,7 @@ def track(
 
 
 def _disturbances(words: Sequence[str]) -> dict[str, float]:
+    """Return the sizes of disturbances by name, from words such as ``heights=0.02``."""
     sizes = dict[str, float]()
     for each in words:
         name, _, size = each.partition("=")

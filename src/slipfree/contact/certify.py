@@ -191,8 +191,8 @@ def second_contacts(
 ) -> tuple[SecondContact, ...]:
     """Return the certificates of the wheels of a model at given poses.
 
-    ``q`` are its quantities: vehicle, ground, contacts and lookups. A vehicle with parameters has
-    no certificates.
+    ``q`` are its quantities: vehicle, ground, contacts and lookups; ``x`` and ``z`` its states and
+    unknowns, ``size`` its typical length [m]. A vehicle with parameters has no certificates.
     """
     if q.vehicle.nominal:
         return ()

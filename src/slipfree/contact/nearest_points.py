@@ -139,6 +139,11 @@ class NearestPoints:
         return np.asarray(np.minimum(lowest - highest, far))
 
     def _starts(self, placed: Array) -> _Starts:
+        """Return starts of searches at all poses, of shapes that may be the closest ones.
+
+        Shapes are visited from the lowest upward; ``upper`` is the least clearance so far, and a
+        shape whose lower bound exceeds it is left out.
+        """
         n = placed.shape[2]
         upper, rows = np.full(n, np.inf), list[_Starts]()
         lowest = np.array([_lowest(s, at) for (_, s), at in zip(self.shapes, placed, strict=True)])

@@ -114,6 +114,7 @@ def _checked_call(
 
     @wraps(function)
     def call(*args: Any, **named: Any) -> Any:
+        """Check and convert the arguments, then call the function."""
         try:
             bound = signature.bind(*args, **named)
         except TypeError as error:
@@ -231,6 +232,7 @@ def _is_instance(kind: Any, parts: tuple[Any, ...], value: Any, context: _Contex
 
 
 def _array(hint: Any, value: Any, place: str) -> Any:
+    """Return a value as an array of numbers or truth values; raise `_Wrong` for others."""
     is_mask = np.bool_ in get_args(get_args(hint)[-1])
     try:
         array = np.asarray(value)

@@ -764,6 +764,7 @@ def power_of_length(unit: str) -> int:
 def _same_names(
     what: str, names: list[str], given: Iterable[str], *, all_needed: bool = True
 ) -> None:
+    """Raise ModelError for unknown names and, with ``all_needed``, for missing ones."""
     unknown = sorted(set(given) - set(names))
     missing = [name for name in names if name not in set(given)] if all_needed else []
     if unknown or missing:

@@ -111,6 +111,7 @@ def lines(rows: Iterable[Row], values: Mapping[str, Any]) -> list[tuple[str, str
 
 
 def _table(name: str, values: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of a fact with a table, or of the facts that ``name*`` selects."""
     if name.endswith("*"):
         chosen = starting_with(name[:-1], values)
         return [{"name": rest, "fact": fact} for rest, fact in chosen.items()]

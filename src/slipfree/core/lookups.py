@@ -197,9 +197,10 @@ def lookup_function(
     expressions: Sequence[ca.SX],
     options: dict[str, Any] | None = None,
 ) -> ca.Function:
-    """Return expressions as a function that evaluates the required lookups.
+    """Return expressions as a function of ``symbols`` that evaluates the required lookups.
 
-    Only lookups on which the expressions depend are evaluated.
+    Only lookups on which the expressions depend are evaluated. ``options`` are those of
+    `casadi.Function`.
     """
     needed = needed_lookups(lookups, expressions)
     if not needed:

@@ -790,6 +790,7 @@ def _hull(values: Intervals, patches: _Patches, shape: tuple[int, int]) -> Inter
 
 
 def _middle(graphs: PoseGraphs, ground: GroundRange, boxes: Boxes) -> _Middle:
+    """Return wheel motions and gaps of their lowest points on the ground, for boxes of poses."""
     jets = ground.jets(boxes.contacts.reshape(2, -1))
     slope = jets.slope.reshape(boxes.contacts.shape)
     motion = carrier_motions(graphs, boxes, slope)

@@ -204,6 +204,7 @@ def export_controller(
 
 
 def _model(vehicle: Vehicle, grid: Grid, rates: GivenRates) -> _Model:
+    """Return the models of a controller: poses from the places, rates from the commands."""
     direct: Dae = direct_kinematics(vehicle, Bicubic(grid, (0.0, 0.0)))
     inverse = invert(direct, rates)
     (x, z, u), relaxing = inverse.columns(), direct.rest.numel()
@@ -486,7 +487,11 @@ def _solved(
     known: Sequence[tuple[ca.SX, Array]],
     start: Array,
 ) -> Array:
-    """Return the solutions of equations by Newton's method with dense matrices, from a start."""
+    """Return the solutions of equations by Newton's method with dense matrices, from a start.
+
+    ``known`` are pairs of a symbol and its values (n_rows, n); the start and the result have the
+    shape (n_unknowns, n).
+    """
     symbols, values = zip(*known, strict=True)
     results = [ca.densify(rows), ca.densify(ca.jacobian(rows, unknowns))]
     function = dae.function("equations", [*symbols, unknowns], results)

@@ -93,11 +93,13 @@ def _bounded(read: Callable[..., T], path: Path, *arguments: Any) -> T:
 
 
 def _motion_log(path: Path) -> tuple[Rows, dict[str, JointCommands]]:
+    """Return poses by time, and the commands of joints, from an MCAP file."""
     first, table = _table(path, ("x", "y", "heading"))
     return table, _joint_commands(path, first)
 
 
 def _table(path: Path, names: tuple[str, str, str]) -> tuple[int, Rows]:
+    """Return the time of the first row [ns], and columns with times from it [s]."""
     topic, messages = _only_topic(path, MESSAGES[names])
     with _standard_fields(path, topic):
         stamped = [*_rows(messages)]
@@ -194,6 +196,7 @@ def _standard_fields(path: Path, topic: str) -> Iterator[None]:
 
 
 def _rows(messages: list[tuple[int, Any]]) -> Iterator[tuple[int, float, float, float]]:
+    """Yield time [ns] and pose (x, y, yaw) or twist (forward, left, yaw rate) of messages."""
     last = messages[-1][1]
     if type(last).__name__ == "Path":
         messages = [(_time(pose, 0), pose) for pose in last.poses]
@@ -321,6 +324,7 @@ def _vector(values: Sequence[float], names: str = "xyz") -> dict[str, float]:
 
 
 def _transforms(frames: Sequence[links.LinkPoses]) -> Iterator[Message]:
+    """Yield the messages of /tf: the poses of all links at each sample."""
     places = np.stack([frame.origins for frame in frames], axis=1).tolist()
     quaternions = np.stack([frame.rotation.as_quat() for frame in frames], axis=1).tolist()
     for row in zip(places, quaternions, strict=True):

@@ -176,6 +176,9 @@ def read_columns(
     SI units of further quantities by name in the result. Cells of the ``optional`` columns without
     a number are NaN. Times follow from columns of seconds and nanoseconds, headings from a
     quaternion, if there is no column of them.
+
+    In messages, ``expected`` is the kind of the table and ``where`` the place at which its columns
+    are named.
     """
     names = dict(columns) if isinstance(columns, Mapping) else {name: name for name in columns}
     if is_mcap(path):
@@ -334,6 +337,7 @@ def _line_body(line: str, separator: str | None) -> str:
 
 
 def _line_cells(text: str, separator: str | None) -> list[str]:
+    """Return the cells of a line without quotes; None as separator stands for blanks."""
     if '"' in text:
         cells = next(csv.reader([text], delimiter=separator or " ", skipinitialspace=True))
         cells = [cell for cell in cells if cell or separator]

@@ -516,6 +516,8 @@ def parse_unit(value: Any) -> Any:
 
 
 def _reader(unit: type[WithUnit], text: str) -> WrapValidator:
+    """Return a validator of numbers, or of text with a number and a ``unit``."""
+
     def read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
         parsed = parse_unit(value)
         has_unit = isinstance(parsed, WithUnit)

@@ -336,7 +336,7 @@ def _wheel_keys(wheel: Wheel) -> dict[str, Any]:
         if kind is None:
             raise ModelError(
                 f"wheel {wheel.name!r}: expected a section with a name in vehicle files, "
-                f"{', '.join(SECTIONS)}, found {section}"
+                f"{', '.join(SECTIONS)}, found {section}; use one of these"
             )
         shape = {"section": kind, **{f.name: getattr(section, f.name) for f in fields(section)}}
     return {**_given(wheel, "section", "drive"), **shape, **rollers, **_drive_keys(wheel.drive)}
@@ -353,6 +353,7 @@ def _all(check: Callable[[float], float]) -> AfterValidator:
 
 
 def _axis(value: Any) -> str | Vector:
+    """Return an axis: the name of a coordinate axis, or a vector."""
     if isinstance(value, str) and value in ("x", "y", "z"):
         return value
     if isinstance(value, list) and len(value) == 3 and all(map(toml.is_number, value)):
@@ -366,6 +367,7 @@ def _axis(value: Any) -> str | Vector:
 
 
 def _rollers(value: Any) -> float | bool:
+    """Return the angle of rollers [rad], or False for a wheel without rollers."""
     if value is False:
         return False
     angle = toml.parse_unit(value)
@@ -750,6 +752,7 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[toml.Fault]]:
 def _body(
     table: JointTable | VehicleTable, faults: list[toml.Fault], place: toml.Place
 ) -> tree.Body:
+    """Return the body of a table, without its inertia if that is invalid; add the error."""
     shapes = tuple(SHAPES[s.kind](**s.model_dump(exclude={"kind"})) for s in table.shapes)
     try:
         return tree.Body(table.mass, table.center_of_mass, table.inertia, shapes)

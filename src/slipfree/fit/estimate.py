@@ -68,12 +68,12 @@ class Unknown:
         if not self.lower < self.upper:
             raise ModelError(
                 f"unknown {self.name!r}: expected a lower bound below the upper one, found "
-                f"{self.lower:g} and {self.upper:g}"
+                f"{self.lower:g} and {self.upper:g}; correct them"
             )
         if self.prior is not None and not 0 < self.prior[1] < math.inf:
             raise ModelError(
                 f"unknown {self.name!r}: expected a finite positive standard deviation of the "
-                f"prior, found {self.prior[1]:g}"
+                f"prior, found {self.prior[1]:g}; correct it"
             )
 
 

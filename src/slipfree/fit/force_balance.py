@@ -414,7 +414,7 @@ def _section(section: Section, radius: float, name: str) -> Section:
     if section.torus_radii is None:
         raise ModelError(
             f"wheel {name!r}: expected a torus, disc or sphere, whose radius can be fitted, found "
-            f"{section}"
+            f"{section}; remove the radius from the unknowns"
         )
     tube, circle = section.torus_radii
     if tube and circle:

@@ -156,6 +156,7 @@ class _Disc(Region):
         return ca.SX(from_center - math.sqrt(self.radius**2 + soft))
 
     def distance(self, x: Array, y: Array) -> Array:
+        """Return distances from the circle, negative inside [m]."""
         distance: Array = np.hypot(np.subtract(x, self.x), np.subtract(y, self.y)) - self.radius
         return distance
 
@@ -218,6 +219,7 @@ class _Polygon(Region):
         return signed
 
     def distance(self, x: Array, y: Array) -> Array:
+        """Return distances from the polygon, negative inside [m]."""
         x_0, y_0 = self.points[0]
         x, y = np.broadcast_arrays(np.subtract(x, x_0), np.subtract(y, y_0))
         corners = self._corners[0]

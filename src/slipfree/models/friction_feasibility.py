@@ -240,6 +240,7 @@ def diagnosis(z: base.Algebraic, q: base.Quantities) -> Callable[[Array, Array],
     f = lookup_function(q.lookups.lookups, "hold", [pack(x), pack(z)], results)
 
     def describe(x: Array, z: Array) -> str:
+        """Return slope and reason of a missing equilibrium, for the stop of a motion."""
         matrix, load, friction, *rest = (np.array(each) for each in f(x, z))
         slope, aside, margin, lean = (float(each.item()) for each in rest)
         if not all(np.isfinite(each).all() for each in (matrix, load, friction)):

@@ -232,6 +232,7 @@ def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, An
 
 
 def _to_solution(scale: Array, results: dict[str, Any], stats: dict[str, Any]) -> NlpSolution:
+    """Return the solution of `casadi.nlpsol`, whose unknowns are divided by ``scale``."""
     times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
     total = times.get("t_wall_total", 0.0)
     functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))

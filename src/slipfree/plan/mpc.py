@@ -146,6 +146,10 @@ def horizon(
 
 
 def _check_task(task: PlanTask, numbers: dict[str, int]) -> None:
+    """Raise ModelError unless numbers are positive and the problem does not depend on time.
+
+    A window moves: its program is the same at all times.
+    """
     for name, number in numbers.items():
         if number < 1:
             raise ModelError(f"horizon: {name}: expected 1 or more, found {number}; increase it")
@@ -302,7 +306,11 @@ def refine(window: Horizon, start: Trajectory, inputs: Array) -> Cycle:
 def _iterated(
     window: Horizon, t: float, first: Array, row_bounds: tuple[Array, Array], multipliers: Array
 ) -> Cycle:
-    """Return the cycle after the iterations of a window, from unknowns with the measured state."""
+    """Return the cycle after the iterations of a window, from unknowns with the measured state.
+
+    ``first`` are the unknowns, ``row_bounds`` bounds of the constraint functions with the goal of
+    this cycle, ``multipliers`` those of the last one.
+    """
     program, scale = window.program, window.program.scale
     x, span = first[program.layout.first], float(first[program.layout.duration])
     lower, upper = program.lower.copy(), program.upper.copy()

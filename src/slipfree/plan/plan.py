@@ -372,6 +372,7 @@ def solve_task(
         searches = [solve_resumed(task, first, former, options, search.progress)]
 
     def verify(state: SearchState) -> Verification:
+        """Return the simulated plan, or its samples if no verification is requested."""
         if search.keep is not None:
             search.keep(_unverified(state))
         if state.found.success and not verified:

@@ -215,6 +215,7 @@ def tightened_task(task: PlanTask, tightening: Tightening) -> PlanTask:
 
 
 def _tightened(limits: Sequence[Limit], tightening: Tightening, role: str) -> Iterator[Limit]:
+    """Yield limits whose bounds are tightened; those of one value stay."""
     for limit in limits:
         if limit.lower == limit.upper:
             yield limit
@@ -307,7 +308,13 @@ def _excess(
     accuracy: float,
     tolerance: float | None,
 ) -> Iterator[tuple[Bound, float]]:
-    """Yield every finite bound of limits, and its largest violation beyond `tolerated_excess`."""
+    """Yield every finite bound of limits, and its largest violation beyond `tolerated_excess`.
+
+    ``samples`` are t, x, z and u of a simulated motion. ``role`` is that of the limits at a point,
+    such as the goal; empty for limits of the whole motion. There, a given value is met within
+    ``tolerance`` or not checked if it is None. Tightening cannot help a violated value, whose
+    excess is therefore infinite.
+    """
     values, tolerated = limit_values(dae, limits, samples), tolerated_excess(limits, accuracy)
     for limit, row, least in zip(limits, values, tolerated, strict=True):
         is_point = bool(role) and limit.lower == limit.upper

@@ -403,7 +403,10 @@ def _certified_weights(aims: _Aims, costs: Array, motions: Candidates) -> Array:
 
 
 def _certify(aims: _Aims, costs: Array, motions: Candidates, lanes: Indices) -> None:
-    """End lanes at a second contact of a wheel at a sample after the first."""
+    """End lanes at a second contact of a wheel at a sample after the first.
+
+    Their costs become infinite. Reasons count the limits of the model first, then its checks.
+    """
     evaluate, samples = aims.task.evaluate, motions.samples[1:, :, lanes]
     states = np.repeat(aims.first, samples.shape[0] * lanes.size, axis=1)
     states[: samples.shape[1]] = samples.swapaxes(0, 1).reshape(samples.shape[1], -1)

@@ -407,6 +407,11 @@ def _solve_stage(
     warm: NlpSolution | None = None,
     most: int = MAX_ITERATIONS,
 ) -> SearchState:
+    """Return the state of the search after a program is solved from the unknowns ``first``.
+
+    ``words`` names the stage, ``part`` is the weight of the costs (1 in the last stage), ``warm`` a
+    solution with multipliers, ``most`` the maximum number of iterations.
+    """
     on_iterate = None if progress is None else lambda iterate: progress(words, iterate)
     solution = solve_program(
         program,

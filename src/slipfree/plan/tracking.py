@@ -162,6 +162,7 @@ class Replanning(Controller):
         self._updated = updated
 
     def _decide(self, t: float, end: float, x: Array) -> Decision:
+        """Return the inputs of a plan for the rest of the motion, or of the former cycle."""
         failed = False
         try:
             if self._updated:
@@ -190,6 +191,7 @@ class Following(Controller):
         self._plan, self._speed = plan, speed
 
     def _decide(self, t: float, end: float, x: Array) -> Decision:
+        """Return velocities that follow the plan: feed-forward and feedback of errors."""
         planned = _places(self.model, self._plan, np.array([t, end]))
         (r_x, v_x), (r_y, v_y), (heading, yaw_rate) = (
             (float(value[0]), float(np.diff(value)[0]) / (end - t)) for value in planned.values()
@@ -231,6 +233,7 @@ class Sampling(Controller):
             sample_plan(self._task, self._at_rest(x))
 
     def _decide(self, t: float, end: float, x: Array) -> Decision:
+        """Return the inputs of the best sampled motion, or of the former cycle."""
         failed = False
         try:
             elapsed, goal = t - self._last, _places(self._task.model, self._plan, t + self._task.t)
@@ -378,6 +381,7 @@ def track_plan(
 
 
 def _check_world(planned: Dae, world: TrackingWorld) -> None:
+    """Raise ModelError unless the world has the states and inputs of the planned model."""
     own, expected = world.dae.input_names, planned.input_names
     states = [label for label in leaves(planned.labels.x) if label.name not in world.start.columns]
     if own != expected or states:

@@ -241,9 +241,10 @@ def exceeds_between(program: Program, motion: PolynomialMotion, limits: Sequence
 def _error_sources(gaps: Array, where: Index, accuracy: float, count: int) -> Mask:
     """Return the mask of intervals that cause a difference above the accuracy.
 
-    A difference persists after the interval that causes it. Therefore an interval is marked if the
-    difference changes on it by more than its share, the accuracy over the number of intervals. The
-    interval with the largest change is always marked.
+    ``gaps`` are differences at n samples (n_quantities, n), ``where`` the intervals of the samples,
+    ``count`` the number of intervals. A difference persists after the interval that causes it.
+    Therefore an interval is marked if the difference changes on it by more than its share, the
+    accuracy over the number of intervals. The interval with the largest change is always marked.
     """
     if np.abs(gaps).max(initial=0.0) <= accuracy:
         return np.zeros(count, dtype=bool)
@@ -281,7 +282,10 @@ def simulate_plan(
     options: SolverOptions = SolverOptions(),
     states_only: bool = False,
 ) -> Trajectory:
-    """Simulate a model under the inputs of a plan, to its end or to the first failure."""
+    """Simulate a model under the inputs of a plan, to its end or to the first failure.
+
+    ``step`` is the largest time between samples [s].
+    """
     # Limits are often violated just after kinks of the inputs: Chebyshev points are dense there.
     lengths = np.diff(motion.ends)
     counts = np.maximum(np.ceil(np.pi / 2 * lengths / step - 1e-9), MIN_INTERVAL_SAMPLES)

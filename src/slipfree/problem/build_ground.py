@@ -154,7 +154,10 @@ class Extremes(NamedTuple):
 def _map_of(
     problem: Problem[Any], name: str, window: Window | None, options: dict[str, Any]
 ) -> elevation.Map:
-    """Return the map in a file; for a large GeoTIFF, only its outline."""
+    """Return the map in a file; for a large GeoTIFF, only its outline.
+
+    ``options`` are the keys of the table by which the file is read.
+    """
     spec, path = problem.spec.terrain, problem.folder / name
     is_whole = any(getattr(spec, key) is not None for key in OF_WHOLE_MAPS)
     is_geotiff = path.suffix.lower() in (".tif", ".tiff")
@@ -236,6 +239,7 @@ def _source(problem: Problem[S]) -> tuple[elevation.Map, str]:
     whole = problem.folder, key, problem.extremes is None
 
     def read() -> tuple[elevation.Map, str]:
+        """Return the map of a file, a synthetic ground or the sample, and its name."""
         if spec.file is not None:
             options: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES}
             if "vertical_scale" in spec.model_fields_set:

@@ -199,7 +199,7 @@ def _tree(path: Path, trusted: frozenset[str], table: UrdfTable | None, file: Fi
         if size > xacro.MAX_BYTES:
             raise DataError(
                 f"{path}: expected a URDF of at most {xacro.MAX_BYTES / 1e6:g} MB, found "
-                f"{size / 1e6:.3g} MB; give the file of the URDF"
+                f"{size / 1e6:.3g} MB; check the name of the file"
             )
         data = read_bytes(path, f"a URDF{by}")
     check_ending(data, path)

@@ -112,6 +112,7 @@ def load_again(
     """
 
     def schema_of(data: Mapping[str, Any], source: toml.Source) -> type[CommonKeys]:
+        """Return the schema of the verb in the tables of a file; raise ProblemError without one."""
         able, name = [verb for verb in VERBS if command in verb.commands], data.get("verb")
         found = find_verb(name)
         if found in able:

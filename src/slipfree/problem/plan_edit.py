@@ -263,6 +263,7 @@ def _body_and_tail(section: str) -> tuple[str, str]:
 
 
 def _edit_region(table: Any, old: EditedRegion | None, new: EditedRegion) -> None:
+    """Write the changes of a region to its table, so that other keys and comments stay."""
     if old is None or old.points != new.points:
         if new.radius is None:
             _assign(table, "points", new.points)
@@ -479,6 +480,7 @@ class PlanWorker:
 
 
 def _solve_requests(connection: Connection[Any, Any]) -> None:
+    """Solve requests of the editor until it closes the connection; runs in a process."""
     import slipfree.problem.result  # noqa: F401 - loads while the user is editing
 
     prepare_process()
@@ -671,6 +673,7 @@ class Desk:
             self.session = session.changed(phase=PLANNING, line=line, error="", iterates=())
 
     def _read_again(self) -> None:
+        """Read the problem file again if another program changed it."""
         session, document = self.session, self.session.document
         try:
             path = document.path

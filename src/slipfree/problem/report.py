@@ -128,6 +128,7 @@ def _set_up(attributes: Mapping[str, str]) -> Lines:
 
 
 def _versions(file: Path, attributes: Mapping[str, str]) -> Lines:
+    """Return versions, date and digest of a result, for its report."""
     versions = ((n.removesuffix(VERSION), v) for n, v in attributes.items() if n.endswith(VERSION))
     return [
         ("computed", attributes.get("date_created", "date unknown")),
@@ -278,6 +279,7 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
     connected: list[Joint] = []
 
     def below(part: str, indent: str, rotation: Array) -> Iterator[str]:
+        """Yield lines of the joints and wheels that a part carries, indented by their depth."""
         if len(indent) > 2 * MAX_TREE_DEPTH:
             yield f"{indent}..."
             return
@@ -309,6 +311,10 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
 
 
 def _joint(joint: Joint, vector: Array, kinds: dict[str, Coordinate]) -> str:
+    """Return motion, axis and coordinates of a joint in words.
+
+    ``vector`` is its axis in the frame of the platform, with all coordinates at zero.
+    """
     moved = dict.fromkeys(sorted(joint.coordinates), "kind not given")
     for name, c in ((name, kinds[name]) for name in moved if name in kinds):
         acts = [(c.stiffness, "spring"), (c.damping, "damper"), (c.bump, "elastic stops")]
@@ -401,6 +407,7 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
 
 
 def _shares(draft: Vehicle | Draft) -> Lines:
+    """Return the names of parts by their use, and the notes on a vehicle."""
     suspension = _listed(c.name for c in draft.of("suspension"))
     return [
         ("wheels", _listed(wheel.name for wheel in draft.wheels)),

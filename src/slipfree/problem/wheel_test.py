@@ -288,8 +288,8 @@ def _read_measured(path: Path, load: float) -> WheelRuns:
         largest = np.abs(motion).max(axis=0)
         if not largest.all():
             raise DataError(
-                f"{path}: expected moving wheels, found the speeds zero in point "
-                f"{int(largest.argmin()) + 1}; remove it"
+                f"{path}: expected moving wheels, found rim speed and speed zero in "
+                f"point {int(largest.argmin()) + 1}; remove it"
             )
         motion /= largest
     values = [columns.get(name, np.full_like(first, np.nan)) for name in QUANTITIES]

@@ -116,6 +116,7 @@ def _bar(figure: Figure, ax: Any, scale: Colormap, norm: Normalize, label: str, 
 
 
 def _headings(drawn: AtlasView) -> Figure:
+    """Draw the share of headings at which the vehicle can stand or is allowed."""
     band = drawn.maps[ALLOWED if ALLOWED in drawn.maps else STANDING]
     figure = _sized(drawn)
     ax = figure.subplots()
@@ -129,6 +130,7 @@ def _headings(drawn: AtlasView) -> Figure:
 
 
 def _friction(drawn: AtlasView) -> Figure:
+    """Draw the least friction coefficient at the best and at the worst heading."""
     figure = _sized(drawn, 2, below=6)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     bands, scale = friction_maps(drawn.maps), style.RISK

@@ -132,6 +132,7 @@ def picture(scene: Scene, title: str, time: float | None = None) -> Plot:
     at = scene.span[1] if time is None else time
 
     def make() -> Figure:
+        """Draw the picture: the vehicles at one time, with the values of quantities below."""
         figure = style.figure(PAGE, PICTURE_HEIGHT * MM)
         is_level = np.ptp(scene.ground.mesh.vertices[:, 2]) < style.FLAT
         wide = (1.0 if is_level else WIDE) * scene.backdrop.half
@@ -348,6 +349,7 @@ def _draw_curves(figure: Any, scene: Scene) -> list[Line2D]:
 
 
 def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
+    """Draw ground, paths and legend on a map; return the markers of the vehicles."""
     scene.backdrop.draw(ax)
     markers = []
     for actor in scene.actors:

@@ -213,7 +213,10 @@ def padded(window: Window, by: tuple[float, float], grid: Grid) -> Window:
 
 
 def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
-    """Return the window around positions, with the proportions of the map if possible [m]."""
+    """Return the window around positions, with the proportions of the map if possible [m].
+
+    ``pad`` is the margin on each side, in extents of the positions.
+    """
     west, east, south, north = grid.domain
     sides = []
     for name, at, low, high in (("x", x, west, east), ("y", y, south, north)):

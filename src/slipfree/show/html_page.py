@@ -90,7 +90,11 @@ def with_legend(
 def _choice(
     name: str, layers: Mapping[str, tuple[Layer | None, Sequence[str]]], chosen: str
 ) -> str:
-    """Return HTML to choose a colouring, each with the nodes that show it."""
+    """Return HTML to choose a colouring, each with the nodes that show it.
+
+    ``layers`` has the colouring (None without colours) and the names of its nodes in the scene, by
+    the key; ``chosen`` is the key that is shown first.
+    """
     options, legends = "", ""
     for key, (layer, nodes) in layers.items():
         at = f"{name}-{key}"

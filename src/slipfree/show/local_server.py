@@ -45,7 +45,11 @@ class Gate:
     def admit(
         self, path: str, hosts: Sequence[str], origins: Sequence[str], port: int
     ) -> tuple[str, str]:
-        """Return the path of a request without the secret, or else the message of a refusal."""
+        """Return the path of a request without the secret, or else the message of a refusal.
+
+        ``hosts`` and ``origins`` are its headers Host and Origin, which must address this server:
+        that of another page would let a web site send requests.
+        """
         prefix, rest = path[: len(self._prefix)], path[len(self._prefix) :]
         prefix = f"{prefix.rstrip('/')}/"  # viser's page connects to its address without this slash
         has_secret = hmac.compare_digest(

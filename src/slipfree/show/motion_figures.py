@@ -168,6 +168,7 @@ def ground_plot(grid: Grid, place: tuple[float, float] | None = None) -> Plot:
     """Return the figure of a ground: heights and slopes, with a place where a vehicle stands."""
 
     def make() -> Figure:
+        """Draw heights and slope of a ground on two maps."""
         x, y, z = ground_drawing.patch(grid, grid.domain, HEATMAP)
         slope = np.degrees(np.arctan(np.hypot(*np.gradient(z, x[1] - x[0], y[1] - y[0]))))
         figure = style.figure(PAGE, PAGE)  # cropped below
@@ -315,6 +316,7 @@ def map_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of ground, path and tracks in plan view."""
 
     def make() -> Figure:
+        """Draw the paths of platform and wheels on a map."""
         run, grid = drive.run, drive.grid
         x, y = (np.append(run[name], run[f"contact_{name}"]) for name in "xy")
         figure, ax, window = ground_drawing.map_figure(x, y, grid, 0.15)
@@ -346,6 +348,7 @@ def over_time(name: str, caption: str) -> Compose:
     """
 
     def compose(drive: PlottedDrive) -> Plot | None:
+        """Return the plot of a group of quantities over time; None if the motion has none."""
         run = drive.run
         names = [each.name for each in QUANTITIES.values() if each.figure == name]
         drawn = [

@@ -180,6 +180,7 @@ def plan_plots(
     note = f"Simulated with the planned inputs; deviates from the plan by {', '.join(missed)}."
 
     def draw_map() -> Figure:
+        """Draw cost map, routes, initial guess and motion of a plan."""
         known = guess[np.isfinite(guess).all(axis=1)]
         points = np.concatenate([np.stack([run["x"], run["y"]], axis=1), *found, known])
         figure, ax, window = ground_drawing.map_figure(points[:, 0], points[:, 1], grid, 0.25)
@@ -211,6 +212,7 @@ def tracking_plot(
     caption = "Paths of a plan and of the motions that follow it, and distances at equal times."
 
     def make() -> Figure:
+        """Draw plan and tracked motions on a map, and their distances over time."""
         figure = style.figure(PAGE, TRACKING_HEIGHT * MM)
         ground, error = figure.subplots(1, 2)
         runs = [plan, *(run for _, run in motions)]

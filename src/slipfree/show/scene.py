@@ -571,11 +571,16 @@ def _plan_lines(first: Driven, window: Window, origin: Array, reach: float) -> I
 def _backdrop(
     first: Driven, window: Window, origin: Array, reach: float, solids: Sequence[TriangleMesh]
 ) -> Backdrop:
-    """Return the drawing of the ground on a map and its faces around a point."""
+    """Return the drawing of the ground on a map and its faces around a point.
+
+    ``window`` has the ends of the map in x, then in y; ``origin`` is that of the scene in map
+    coordinates, ``reach`` the size of the vehicle. [m]
+    """
     terrain = first.terrain
     blocks = [mesh.vertices[face] for mesh in solids for face in mesh.faces]
 
     def near(middle: Array, half: float, count: int) -> Sequence[Array]:
+        """Return faces of ground and solids within ``half`` of a point, in scene coordinates."""
         west, east, south, north = terrain.domain
         x, y = (
             np.clip(np.linspace(at - half, at + half, count) + start, low, high)
@@ -636,6 +641,7 @@ def _pose_layer(drawn: Grid, drive: Driven, window: Window) -> Layer:
 def _actor(
     drive: Driven, run: Trajectory, name: str, k: int, origin: Array, ghost: bool = False
 ) -> Actor:
+    """Return a vehicle with its arrows and values; those of a ghost are left out."""
     vehicle, color = drive.vehicle, rgb(style.PALETTE[k % len(style.PALETTE)])
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
     parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
@@ -799,6 +805,7 @@ def _off(drives: Sequence[Driven], fine: Surface, least: float) -> Iterable[str]
 
 
 def _others(drives: Sequence[Driven]) -> Iterable[str]:
+    """Yield notes on further motions; raise ModelError for those on another ground."""
     first = drives[0]
     west, east, south, north = first.terrain.domain
     for drive in drives[1:]:

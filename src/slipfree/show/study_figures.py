@@ -134,6 +134,7 @@ def _positions(varied: Varied) -> Array:
 
 
 def _ticks(axis: Any, values: Sequence[str]) -> None:
+    """Label an axis with varied values, at most so many that they are legible."""
     every = -(-len(values) // (2 * ROOM))
     words = [value.strip('"') for value in values[::every]]
     crowded = axis.axis_name == "x" and sum(map(len, words)) > 6 * ROOM
@@ -157,6 +158,7 @@ def front_plot(against: str, unit: str, points: Sequence[FrontPoint], given: Fro
     """
 
     def upper(ax: Axes) -> None:
+        """Draw first over second objective, with tangents from the multipliers of the bounds."""
         _draw_points(points, given, lambda point: 1e6 * point.first, ax)
         label = "slope (price)"
         for point in points:  # short tangents, by the derivative with respect to the bound
@@ -212,6 +214,7 @@ def wheel_plot(
     """
 
     def panel(quantity: str, words: str, factor: float, ax: Axes) -> None:
+        """Draw a quantity over the slip ratio: curves of the law, and measured points."""
         ax.set(xlabel="slip ratio [1]", ylabel=words)
         for k, angle in enumerate(curves.angle):
             computed, label = getattr(curves, quantity)[k], f"{np.rad2deg(angle):.3g} deg"

@@ -264,6 +264,7 @@ def tracks(points: Array, width: float, *, dashed: bool) -> TriangleMesh:
 
 
 def _add_colored(server: viser.ViserServer, name: str, mesh: TriangleMesh, colors: Colors) -> Any:
+    """Add a mesh with colours of its vertices to the scene of the viewer."""
     import trimesh
 
     def matt(tree: dict[str, Any]) -> None:

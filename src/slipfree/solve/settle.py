@@ -207,6 +207,7 @@ def _relaxation_model(dae: Dae) -> Dae:
 
 
 def _relax(model: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
+    """Return the motion to rest of a model with lag, whose equilibrium has no equations."""
     # The equilibrium is a fixed point, which does not depend on the accuracy of the path to it.
     rough = replace(options, tolerance=RELAXATION_TOLERANCE)
     run = simulate(model, first, model.zero_inputs, np.array([0.0, RELAXATION_TIME]), options=rough)

@@ -435,6 +435,10 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
 
     @cache
     def watch(solves: bool) -> ca.Function:
+        """Return rates of quadratures and the least margin as a function.
+
+        With ``solves``, it solves the dependent unknowns first, if the rates depend on them.
+        """
         x, count = dae.columns()[0], m.numel() if dependent else z.numel()
         follows = [ca.depends_on(each, z[count:]) for each in law]
         late = (v for v, each in zip(leaves(dae.u), follows, strict=True) if each)
@@ -544,6 +548,7 @@ def check_law(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
 
 
 def _check_numbers(label: Label, value: Any, intervals: int) -> Array:
+    """Return an input as a number or as one number per interval; raise ModelError else."""
     if isinstance(value, ca.MX | str) or np.iscomplexobj(value):
         raise ModelError(
             f"input {label.full}: expected real numbers or an SX expression, found {value!r}; give "
@@ -565,7 +570,11 @@ def _check_numbers(label: Label, value: Any, intervals: int) -> Array:
 def _equation_blocks(
     dae: Dae, law: list[ca.SX], u: ca.SX, continuation: ca.SX, *, compiled: bool
 ) -> tuple[Block, ...]:
-    """Return the blocks of equations in their order; ModelError if one needs a later block."""
+    """Return the blocks of equations in their order; ModelError if one needs a later block.
+
+    ``law`` are the inputs as expressions, ``u`` their numbers, and ``continuation`` the symbol that
+    varies from an easy problem to the given one.
+    """
     z, driven = dae.columns()[1], ca.vertcat(ca.SX(0, 1), *law)
     blocks = list[Block]()
     for residual, part, labels in zip(dae.residuals, dae.block_rows, dae.labels.alg, strict=True):
@@ -665,6 +674,7 @@ def _solve_stage(
 def _solve_block(
     system: System, block: Block, point: tuple[float, Array, Array, Array, float]
 ) -> Array:
+    """Return ``z`` with the unknowns of one block solved; ``point`` is t, x, z, u, continuation."""
     t, x, first, u, continuation = point
     z = first.copy()
 

@@ -100,6 +100,7 @@ def computing(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def alone(*args: P.args, **more: P.kwargs) -> R:
+        """Call the function; forks by other threads wait until it returns."""
         if _forks.unsafe:
             raise SlipfreeError(
                 "expected a process that was not forked during a computation, found one forked "

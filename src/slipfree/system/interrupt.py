@@ -39,7 +39,7 @@ class InterruptGuard:
         if threading.current_thread() is threading.main_thread():
             former = signal.getsignal(signal.SIGINT)
             around = getattr(former, "__self__", None)
-            if isinstance(around, InterruptGuard):
+            if isinstance(around, InterruptGuard):  # nested: its handler serves this one too
                 self._kept = around._kept
             elif callable(former):
                 self._former = former

@@ -242,6 +242,7 @@ class Parts(Generic[D]):
         return digest.hexdigest()
 
     def _check(self, found: Mapping[str, Any]) -> None:
+        """Raise DataError unless a log describes the same computation."""
         kind, _, head, known = self._identity
         if not found:
             raise DataError(
@@ -335,6 +336,10 @@ def study(
             task: Callable[[int], T],
             key: Callable[[int], str] = lambda _: "",
         ) -> Iterator[tuple[int, D]]:
+            """Yield results of numbered tasks, stored or computed; store those that are computed.
+
+            ``key`` returns a text that must be equal for a stored result to be used.
+            """
             missing = [*numbers]
             done, count = 0, len(missing)
             if parts is not None:

@@ -104,6 +104,7 @@ def unescape_name(text: str) -> str:
 
 
 def _unreadable(path: Path, expected: str, reason: object) -> DataError:
+    """Return the error of a file that cannot be read, with the remedy for its reason."""
     if isinstance(reason, ValueError) or reason in [os.strerror(code) for code in WRONG_NAME]:
         is_url = str(path).startswith(("http:", "https:"))
         remedy = "download it, and name the file" if is_url else "check the name"

@@ -575,13 +575,13 @@ def _counter_clockwise(points: Array) -> Sequence[Array]:
     cosines = (before * after).sum(axis=1)
     if (np.abs(sines) < MIN_TURN_SINE).any():
         k = int(np.argmin(np.abs(sines)))
-        raise ModelError(f"solid: point {k}, {points[k]}, is not a corner: remove it")
+        raise ModelError(f"solid: point {k}, {points[k]}, is not a corner; remove it")
     turns = np.arctan2(sines, cosines)
     sign = 1.0 if turns.sum() > 0 else -1.0
     if (sign * turns < 0).any():
         k = int(np.argmin(sign * turns))
         raise ModelError(
-            f"solid: not convex at point {k}, {points[k]}: divide it into convex solids"
+            f"solid: not convex at point {k}, {points[k]}; divide it into convex solids"
         )
     if abs(turns.sum()) > 2 * np.pi + 1e-6:
         raise ModelError(

@@ -118,7 +118,7 @@ def power_law(
     if not shortest < longest:
         raise ModelError(
             f"power_law: expected shortest < longest, found shortest = {shortest:g} m, "
-            f"longest = {longest:g} m"
+            f"longest = {longest:g} m; correct them"
         )
     if not finest <= shortest:
         raise ModelError(
@@ -363,7 +363,7 @@ def _scatter(
     if not 0 < smallest <= largest:
         raise ModelError(
             f"{name}: expected diameters with 0 < smallest <= largest, found "
-            f"[{smallest:g}, {largest:g}] m"
+            f"[{smallest:g}, {largest:g}] m; correct them"
         )
     u = np.random.default_rng(seed).random((count, 3))
     x = grid.x[0] + u[:, 0] * np.ptp(grid.x)

@@ -59,6 +59,7 @@ def names_in(text: str) -> frozenset[str]:
 
 
 def _parse(text: str) -> ast.expr:
+    """Return the syntax tree of a formula; nothing is evaluated."""
     if len(text) > MAX_LENGTH:
         raise ModelError(
             f"formula {text[:60] + '...'!r}: expected at most {MAX_LENGTH} characters, found "

@@ -779,6 +779,7 @@ def jacksboro(scale: float = 1.0) -> Grid:
 
 
 def _read_npz(path: Path, ask: raster.Reading) -> Heights:
+    """Return heights from a numpy archive of the arrays x, y and z."""
     try:
         with path.open("rb") as stream, warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of files written by Python 2

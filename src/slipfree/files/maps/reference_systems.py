@@ -28,7 +28,11 @@ def refuse(expected: str, found: str, remedy: str) -> NoReturn:
 
 
 def system_name(crs: Any, command: str, x: float, y: float) -> tuple[str, bool]:
-    """Return the name of a coordinate reference system, and whether its unit is the degree."""
+    """Return the name of a coordinate reference system, and whether its unit is the degree.
+
+    ``x``, ``y`` is a point of the map, for which the remedy in an error names a metric system;
+    ``command`` is the program that reprojects the file. Systems that maps cannot have are refused.
+    """
     if crs is None:
         return "", False
     wkt, code = crs.to_wkt(), crs.to_epsg()

@@ -127,9 +127,11 @@ def unit_words(mesh: MeshFile, factor: float) -> str:
 def unit_factor(radii: Array, centers: Array, axle: Array, own: int) -> float | None:
     """Return the factor that makes the radius of a wheel plausible; None if it is plausible.
 
-    A radius is implausible if it exceeds the largest distance between wheels, if it is less than
-    0.002 of this distance, or if the wheel overlaps another one in its plane, not larger than
-    itself, by more than a tenth. The factor is that of a unit in `UNITS`, or 1 if none suits.
+    ``radii`` and ``centers`` are those of all wheels [m], ``own`` is the index of the wheel and
+    ``axle`` its direction. A radius is implausible if it exceeds the largest distance between
+    wheels, if it is less than 0.002 of this distance, or if the wheel overlaps another one in its
+    plane, not larger than itself, by more than a tenth. The factor is that of a unit in `UNITS`, or
+    1 if none suits.
     """
     radius, offsets = float(radii[own]), centers - centers[own]
     extent = float(np.linalg.norm(centers[:, None] - centers, axis=2).max())

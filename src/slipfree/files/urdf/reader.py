@@ -285,6 +285,10 @@ class Joints:
         return [joint.name for joint in chain[1:]]
 
     def _rocks(self, joint: UrdfJoint) -> bool:
+        """Return whether a joint, or a joint that follows it and carries a wheel, is level.
+
+        A level revolute or a steep prismatic joint moves its wheel up and down.
+        """
         followers = [
             follower
             for name, follower in self._tree.joints.items()
@@ -494,7 +498,11 @@ class _Coordinates:
     def _restrict(
         self, name: str, joint: UrdfJoint, leader: UrdfJoint, multiplier: float, offset: float
     ) -> None:
-        """Restrict stops and rate of a coordinate to the limits of a joint that it moves."""
+        """Restrict stops and rate of a coordinate to the limits of a joint that it moves.
+
+        The value of ``joint`` is ``multiplier`` times the coordinate plus ``offset``, as in a
+        mimic; ``leader`` is the joint of the coordinate ``name``.
+        """
         c, role = self.known[name], self._roles.joints.get(leader.name)
         keywords = {} if role is None else role.keywords
         if multiplier == 0:

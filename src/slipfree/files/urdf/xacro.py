@@ -109,6 +109,7 @@ def _expand(path: Path, arguments: Mapping[str, str]) -> tuple[bytes, frozenset[
     if find_spec(FINDER) is None:
         # xacro asks this package of ROS for folders
         def folder_of(package: str) -> str:
+            """Return the folder of a ROS package."""
             for folder in package_folders(package, path.parent):
                 if folder.is_dir():
                     return str(folder)
@@ -200,6 +201,7 @@ class _Values:
         """Return a function of a match that raises DataError beyond the limits of the file."""
 
         def limited(match: re.Match[str]) -> str:
+            """Return the value of a match, and count it."""
             text = value(match)
             self._count, self._length = self._count + 1, self._length + len(text)
             if self._count > MAX_REPLACED or self._length > MAX_BYTES:

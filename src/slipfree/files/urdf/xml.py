@@ -78,6 +78,7 @@ def parse(data: bytes, name: str) -> Element:
     count = itertools.count(1)
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
+        """Add an element to the one that is open."""
         if next(count) > MAX_ELEMENTS:
             raise DataError(
                 f"{name}:{parser.CurrentLineNumber}: expected a robot of at most {MAX_ELEMENTS} "

@@ -319,6 +319,7 @@ def compute_tile(task: TileTask) -> Array:
 
 @lru_cache(maxsize=1)  # a process computes many tiles
 def _setup(task: TileTask) -> AtlasSetup:
+    """Return the setup of an atlas in a worker; its input files must be those of the start."""
     problem = task.recipe.load()
     setup = build_atlas(problem, dict(task.known))
     if input_states(problem).digests != dict(task.digests):

@@ -74,6 +74,7 @@ def compare(
     terrain, vehicles = build.build_terrain(problem, ground), problem.spec.vehicles
 
     def compared(index: int) -> dict[str, Any]:
+        """Return the row of a vehicle: whether it can roll, and its motions at both rates."""
         vehicle = build.build_vehicle(problem, vehicles[index], ("vehicles", index))
         dae = direct_kinematics(vehicle, terrain)
         spec, start = problem.spec, build.build_start(problem, dae)
@@ -107,6 +108,11 @@ def compare(
 
 
 def _extremes(vehicle: Vehicle, run: Trajectory) -> dict[str, Any]:
+    """Return extremes of slip, friction and tilt, and the stop of a motion, for its table.
+
+    ``friction_needed`` is that of load-weighted forces, NaN for a vehicle without mass. ``axle`` is
+    the distance between the centres of the first two wheels: it varies on a split axle.
+    """
     even = run if run.stop is None else run.part(slice(-1))  # a stop lies between the samples
     slip = np.linalg.norm(measured_slip(vehicle, even), axis=2)
     tilts = [run[c.name] for c in vehicle.of("passive") if vehicle.unit(c.name) == "rad"]

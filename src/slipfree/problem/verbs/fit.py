@@ -514,6 +514,7 @@ class _Reader(NamedTuple):
         return [self._log(*each, step) for each in zip(tables, names, kinds, strict=True)]
 
     def _table(self, path: Path) -> MotionLog:
+        """Return a log with the columns that the fit requires."""
         data, inputs = self.problem.spec.data, self.inputs
         columns = dict(data.columns)
         vx, vy = columns.pop("velocity") or (None, None)
@@ -670,7 +671,11 @@ class _Reader(NamedTuple):
     def _bad(
         self, path: Path, place: ComplexArray, velocity: ComplexArray | None, step: float
     ) -> dict[str, Mask]:
-        """Return samples whose positions are not reliable, by the reason."""
+        """Return samples whose positions are not reliable, by the reason.
+
+        ``place`` are positions x + iy [m], ``velocity`` measured velocities in the same axes [m/s],
+        ``step`` the time between samples [s].
+        """
         bad = {"not finite": ~np.isfinite(place)}
         if self.grid is not None:
             west, east, south, north = *self.grid.x[[0, -1]], *self.grid.y[[0, -1]]
@@ -699,7 +704,12 @@ class _Reader(NamedTuple):
 def _places(
     t: Array, z: ComplexArray, pieces: Indices, even: Array, rows: Indices
 ) -> tuple[ComplexArray, Mask, bool]:
-    """Return positions at samples, whether a pose is new there, and whether poses are held."""
+    """Return positions at samples, whether a pose is new there, and whether poses are held.
+
+    ``z`` are positions x + iy at the times ``t`` of rows [m], ``pieces`` the numbers of the runs of
+    rows, ``even`` the times of samples and ``rows`` their rows. Poses are held if they repeat
+    between new ones; a sample between two new ones is interpolated.
+    """
     is_same = np.diff(pieces) == 0
     moved = np.append(False, (np.diff(z) != 0) & is_same)
     is_held = held_for(moved) > 1
@@ -842,6 +852,7 @@ AXES = "along", "across", "turn"
 
 
 def _row(kind: WindowKind, score: Score) -> dict[str, Any]:
+    """Return errors and intervals of a kind of windows as a row of the table [m, rad]."""
     errors, log = score.errors, score.windows.log
     row: dict[str, Any] = kind._asdict() | {"windows": log.size, "logs": np.unique(log).size}
     row["campaigns"] = score.campaigns

@@ -223,6 +223,7 @@ def described(run: Trajectory) -> dict[str, Fact]:
 
 
 def _simulated_words(facts: Facts, *, is_solved: bool) -> str:
+    """Return the line on the simulation of a plan: deviations and violations."""
     gaps = starting_with(DIFFERENCE, facts)
     if not gaps:
         return "not yet; the motion is that of the plan"
@@ -363,6 +364,7 @@ def plan_climb(
     def solved(
         cost: str, mu: float | None
     ) -> Iterator[tuple[contact_path.Climb, Array, contact_path.ClimbHistory, Array]]:
+        """Yield plan, unknowns, history and statistics of each leg between stops."""
         for k, leg in enumerate(parts):
             halt = leg is not parts[-1]
             plan = contact_path.climb(climber, section, leg, cost, mu=mu, halt=halt, **options)
@@ -635,6 +637,7 @@ def figure_options(result: base.Result, world: World) -> dict[str, Any]:
 
 
 def _inaccurate(setup: plan_setup.Planning, plan: Plan | LongPlan) -> trajectory.Stop:
+    """Return the stop of a plan that its simulation misses by more than the accuracy."""
     spec = setup.spec
     obstacle = obstacle_words(setup.task, plan.replay, spec.plan.accuracy)
     sizes = plan.difference | plan.violation
@@ -675,6 +678,10 @@ def _iterate_reporter(
     begun, start = False, time.monotonic()
 
     def progress(words: str, iterate: Iterate) -> bool:
+        """Show an iteration; return whether the search may go on.
+
+        Ctrl-C ends the search after the first iteration, so that it has a result to keep.
+        """
         nonlocal begun
         line = (
             f"{words}: iteration {iterate.number}, constraints off by {iterate.violation:.2g}"
@@ -788,6 +795,7 @@ def _in_soil(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
         return model, settle(model, options=options, **values)
 
     def compared(run: Trajectory) -> dict[str, Fact]:
+        """Return facts of the motion in soil, and the same of the plan."""
         return {
             f"{name}{which}": fact
             for motion, which, depth in ((run, "", "depth"), (plan.replay, "_plan", "sinkage"))

@@ -355,6 +355,7 @@ def make_robust(setup: Planning, first: Plan, progress: PlanProgress, watch: Wat
             )
 
             def replay(plans: Sequence[Plan], draws: Sequence[Draw]) -> list[Replays]:
+                """Return motions of plans in the worlds of draws; stored ones are not repeated."""
                 nonlocal total
                 done.clear()
                 total = len(draws)
@@ -397,6 +398,7 @@ def replay_draw(task: ReplayTask) -> tuple[DisturbedRun, ...]:
     options = replace(spec.solver.options, tolerance=tolerance)
 
     def replayed(planned: PolynomialMotion) -> DisturbedRun:
+        """Return the motion of a plan in a drawn world; a failed start violates a bound."""
         try:
             dae, start = _drawn_world(task.source, task.draw if is_drawn else None)
             motion = drawn_motion(planned, task.draw, robust.inputs)

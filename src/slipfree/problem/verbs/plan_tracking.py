@@ -258,6 +258,7 @@ def controller_of(name: str, frame: Horizon, speed: float, period: float) -> tra
 
 
 def _scaled(section: Section, factor: float) -> Section:
+    """Return a section with all lengths multiplied by a factor."""
     values: dict[str, Any] = {}
     for field in fields(section):
         value = getattr(section, field.name)
