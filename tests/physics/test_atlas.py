@@ -228,7 +228,7 @@ def test_the_clearance_of_bodies_is_that_of_single_poses(height):
     ("arguments", "message"),
     [
         ({"headings": 0}, "headings: expected a number >= 1, found 0"),
-        ({"inputs": {"left": 1.0}}, "inputs: expected names among right_rate, .* found 'left'"),
+        ({"inputs": {"left": 1.0}}, "inputs: expected one of right_rate, .* found 'left'"),
     ],
 )
 def test_wrong_arguments_are_named(arguments, message):

@@ -435,7 +435,7 @@ def test_a_second_contact_refutes_the_nominal_pose():
 def test_invalid_models_and_names_are_refused(wheeler):
     model = wheeler.model
     run = settle(model)
-    with pytest.raises(ModelError, match="spread: expected names among x, y, heading"):
+    with pytest.raises(ModelError, match="spread: expected one of x, y, heading"):
         guarantee(model, run, 0.01, spread={"z": 0.1})
     plane = direct_kinematics(catalog.three_wheeler(), Analytic(lambda x, y: 0.1 * x + 0 * y))
     with pytest.raises(ModelError, match="expected a model of a vehicle on a map"):

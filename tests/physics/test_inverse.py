@@ -370,7 +370,7 @@ def test_drives_are_checked():
     dae = inverse_kinematics(three_wheeler(), HILLS, **CROSSING)
     begin, t = settle(direct), np.linspace(0, 1, 11)
     inputs = dae.inputs(**PAPER_MOTION)
-    words = r"free_states: expected names of states, x, y, .*, found sail"
+    words = r"free_states: expected names of states, x, y, .*, found 'sail'"
     refuses(ModelError, words, drive, dae, begin, inputs, t, free_states=["sail"])
     late = dae.inputs(velocity_x=0.0, velocity_y=ca.sqrt(dae.t - 0.5), heading_rate=0.0)
     with pytest.raises(SolverError, match=r"no motion from t = 0 to .* s that follows the"):

@@ -32,7 +32,7 @@ from slipfree.batch.motion import COMPLETE
 from slipfree.contact.nearest_points import CLEARANCE
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Parameter, SampledCheck
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, check_known
 from slipfree.core.lookups import needed_lookups
 from slipfree.core.quantities import quantity_label
 from slipfree.core.rearrange import substitute
@@ -139,9 +139,7 @@ class Atlas(Drawable):
 
     def __getitem__(self, name: str) -> Array:
         """Return the values of a band, shape (n_headings, n_x, n_y)."""
-        if name not in self.bands:
-            known = ", ".join(self.bands)
-            raise ModelError(f"expected one of the bands {known}, found {name!r}; correct the name")
+        check_known("atlas", [name], self.bands, "one of the bands")
         return self.bands[name].values
 
     @property
@@ -322,11 +320,7 @@ def atlas(
             "atlas: expected a map, or the places 'x' and 'y', found a ground "
             "without nodes and no 'x' and 'y'; give both"
         )
-    known = model.input_names
-    if unknown := [name for name in inputs or {} if name not in known]:
-        raise ModelError(
-            f"inputs: expected names among {', '.join(known)}, found {unknown[0]!r}; correct it"
-        )
+    check_known("inputs", inputs or {}, model.input_names)
     heading: Array = np.array(headings, dtype=np.float64)
     if not heading.ndim:  # a number of them
         heading = 2 * np.pi * np.arange(float(heading)) / max(float(heading), 1.0)
@@ -566,7 +560,10 @@ def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
 def _quantities(
     evaluator: PoseEvaluator, checks: Sequence[SampledCheck], states: Array, tolerance: float
 ) -> dict[str, Array]:
-    """Return the bands of poses that do not depend on other poses; ``checks`` have clearances."""
+    """Return the bands of poses that do not depend on other poses, shape (n,) each.
+
+    ``checks`` have the clearances; ``tolerance`` is that of the bounds of the least friction.
+    """
     evaluate, graphs = evaluator.evaluate, evaluator.evaluate.graphs
     outputs = evaluate(graphs.outputs, states)
     bands = dict[str, Array]()
@@ -574,7 +571,7 @@ def _quantities(
         values = (outputs if source.is_output else states)[source.rows]
         bands[name] = reduce(values, axis=0)
     for check in checks:
-        # margins of checks are only bounds
+        # `margin`, since `margin_at` returns only a bound of large clearances
         if check.label.name == CLEARANCE.name and evaluator.computes(CLEARANCE.name):
             bands[CLEARANCE.name] = check.margin(*many.columns_of(graphs, states)[:2])
     more = evaluator.more.graphs

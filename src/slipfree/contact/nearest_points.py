@@ -612,7 +612,12 @@ def _jet_of_expressions(terrain: Terrain, lookups: LookupTable) -> Callable[[ca.
 
 
 def _lowest_face(shape: Box, frame: Pose, terrain: Terrain) -> tuple[ca.SX, Array, Array]:
-    """Return the axes of a box, the steepest last, a grid on its lowest face, and its bounds."""
+    """Return the axes of a box, the steepest last, a grid on its lowest face, and its bounds.
+
+    The face is the lowest one with the platform level. Its points (n, 3) are along the returned
+    axes, from the centre [m]. Bounds are half the edges, the distances of points along the first
+    two axes, and half the last edge, as `NEWTON_STEP` takes them. [m]
+    """
     rest = np.array(ca.evalf(shape.pose.rotation))
     order = (np.abs(rest[2]).argmax() + np.arange(1, 4)) % 3
     half = np.array(shape.size)[order] / 2

@@ -230,8 +230,8 @@ def _damped_steps(
 ) -> Any:
     """Return the point with the least residual after Newton steps of limited length.
 
-    ``spot`` is the first point of the ground and tread, ``asked`` the pose of the wheel, ``radius``
-    its radius [m]. A step is halved until it reduces the residual.
+    ``spot`` is the first ground point, ``asked`` centre and axle of the wheel, ``radius`` its
+    radius [m]. A step is halved until it reduces the residual.
     """
     best, least, step = spot, LARGE, 0 * spot
     for _ in range(DAMPED_STEPS):

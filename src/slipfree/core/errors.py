@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
@@ -32,6 +32,21 @@ def similar(name: str, known: Iterable[str]) -> str:
     """Return a question with the most similar known name; empty without a similar one."""
     nearest = get_close_matches(name, [*known], n=1)
     return f"did you mean {nearest[0]!r}? " if nearest else ""
+
+
+def check_known(
+    argument: str, names: Iterable[str], known: Collection[str], kind: str = "one of"
+) -> None:
+    """Raise ModelError for a name that is not known, with the most similar one.
+
+    ``argument`` has the names; ``kind`` precedes the known names in the message.
+    """
+    for name in names:
+        if name not in known:
+            raise ModelError(
+                f"{argument}: expected {kind} {listed([*known])}, found {name!r}; "
+                f"{similar(name, known)}correct the name"
+            )
 
 
 def shortened(text: str, most: int = 200) -> str:

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from slipfree.core.errors import ModelError, SlipfreeError, read_table, require, similar
+from slipfree.core.errors import (
+    ModelError,
+    SlipfreeError,
+    check_known,
+    read_table,
+    require,
+    similar,
+)
 from slipfree.core.facts import Fact, Facts
 from slipfree.core.records import Array, HtmlRepr, Indices, Label, overview, with_overview
 
@@ -295,11 +302,7 @@ class Trajectory(Drawable):
                 f"expected the name of a quantity with one value per wheel, found {quantity!r} "
                 f"with the wheel {wheel!r}; use the name alone: run[{quantity!r}]"
             )
-        if wheel not in self.wheels:
-            raise ModelError(
-                f"{quantity!r}: expected one of the wheels {', '.join(self.wheels)}, found "
-                f"{wheel!r}; {similar(wheel, self.wheels)}correct the name"
-            )
+        check_known(repr(quantity), [wheel], self.wheels, "one of the wheels")
         return values[:, self.wheels.index(wheel)]
 
     def of(self, label: Label) -> Array:

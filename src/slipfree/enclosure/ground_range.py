@@ -48,6 +48,7 @@ class GroundRange:
 
     def __init__(self, ground: Bicubic) -> None:
         cells, holes = ground.cells, ground.grid.holes
+        # `Cells.coefficients` are divided by 36, since `basis` is times six along each axis
         self._table = np.ascontiguousarray(36 * cells.coefficients)
         columns = np.array([cells.place, cells.spacing, cells.node])[..., None]
         self._place, self._spacing, self._node = self._axes = columns  # shape (2, 1) each
@@ -72,7 +73,7 @@ class GroundRange:
         by_x, by_y = np.moveaxis(basis(a - cell), 2, 0) / scales.T[:, :, None, None]
         rows, columns = (cell[axis] + np.arange(4)[:, None] for axis in (0, 1))
         block = self._table[rows[:, None], columns[None]]  # (4, 4, n)
-        partial = np.einsum("pan,abn->pbn", by_x[:3], block) / 36
+        partial = np.einsum("pan,abn->pbn", by_x[:3], block) / 36  # as above
 
         def derivative(p: int, q: int) -> Array:
             return np.asarray(np.einsum("bn,bn->n", by_y[q], partial[p]))

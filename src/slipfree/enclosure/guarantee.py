@@ -30,7 +30,7 @@ import numpy as np
 from slipfree.contact.nearest_points import CLEARANCE
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import check_known
 from slipfree.core.interval import TINY, Intervals, around, evaluate_interval, exactly, stack
 from slipfree.core.records import Array, Indices, Mask, leaves
 from slipfree.core.schema import NonNegative
@@ -184,10 +184,7 @@ def guarantee(
     count = len(graphs.radii[0])
     closed = graphs.names[graphs.given :]
     given = graphs.names[: graphs.given]
-    if unknown := [name for name in spread or {} if name not in given]:
-        raise ModelError(
-            f"spread: expected names among {', '.join(given)}, found {unknown[0]!r}; correct it"
-        )
+    check_known("spread", spread or {}, given)
     samples = range(run.t.size)
     x = np.stack([model.rows("x", run, k) for k in samples], axis=1)
     z = np.stack([model.rows("z", run, k) for k in samples], axis=1)

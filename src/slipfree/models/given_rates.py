@@ -35,7 +35,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, check_known
 from slipfree.core.quantities import quantity_label
 from slipfree.core.rearrange import ModelVariable, new_variable, variables
 from slipfree.core.records import Array, Label, leaves, pack
@@ -206,10 +206,7 @@ def _check_rates(given: GivenRates, vehicle: Vehicle) -> None:
             f"given: expected a list of three different names from {', '.join(RATES)}, or of one "
             f"or more names from {commands}, found {names!r}; {remedy}"
         )
-    if unknown := [name for name in names if name not in RATES]:
-        raise ModelError(
-            f"given: expected three of {', '.join(RATES)}, found {unknown[0]!r}; correct the name"
-        )
+    check_known("given", names, RATES, "three of")
     if set(names) & set(OMEGA) and set(names) & set(EULER):
         raise ModelError(
             f"given: expected components of the angular velocity ({', '.join(OMEGA)}) or Euler "
@@ -244,11 +241,7 @@ def _check_commands(given: GivenRates, vehicle: Vehicle) -> None:
     ``solve_for`` must be ``"angles"``; ``"rates"`` is for three given rates.
     """
     names, exact, found = given.names, given.exact, ", ".join(given.names)
-    if unknown := [name for name in names if name not in COMMANDS]:
-        raise ModelError(
-            f"given: expected only names from {', '.join(COMMANDS)}, found {unknown[0]!r}; correct "
-            "or remove the name"
-        )
+    check_known("given", names, COMMANDS, "only names from")
     if not names or len(set(names)) != len(names):
         raise ModelError(
             f"given: expected one or more different rates, found {found or 'none'}; "

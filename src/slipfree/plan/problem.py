@@ -12,7 +12,7 @@ import numpy as np
 
 from slipfree.core.arguments import ASCENDING, BY_NAME
 from slipfree.core.dae import Dae, Limit
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, check_known
 from slipfree.core.facts import SCALES
 from slipfree.core.records import Array, Mask, leaves
 from slipfree.core.trajectory import Trajectory
@@ -180,12 +180,8 @@ def bounds_of(dae: Dae, ranges: Mapping[str, Range]) -> Array:
     """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2)."""
     names = dae.input_names
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
+    check_known("plan: bounds of inputs", ranges, names)
     for name, value in ranges.items():
-        if name not in names:
-            raise ModelError(
-                f"plan: bounds of inputs: expected one of {', '.join(names)}, found {name!r}; "
-                "correct the name"
-            )
         bounds[names.index(name)] = range_of(value)
     return bounds
 

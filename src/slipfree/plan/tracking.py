@@ -417,7 +417,7 @@ def _drive(
     if dae is None:
         raise ModelError(
             f"world: expected a model with the inputs {', '.join(decision.inputs)}, found none; "
-            "give the vehicle that is `commanded`"
+            "give the field 'commanded' of TrackingWorld, by slipfree.commanded"
         )
     times = decision.times
     run = simulate_to_failure(dae, here, dae.inputs(**decision.inputs), times, options)

@@ -216,6 +216,7 @@ def fit_wheel_file(file: WheelContents) -> FittedWheel:
         raise toml.problem_error(file.problem.source, [fault])
     unknowns = list[Unknown]()
     for name, share in PRIOR_SHARES.items() if not spec.unknowns else ():
+        # points without motion to the side do not depend on it
         if name != "shear_across" or file.runs.motion[2].any():
             mean = float(getattr(file.soil, name))
             unknowns.append(Unknown(name, name, prior=(mean, share * mean)))

@@ -20,7 +20,7 @@ from matplotlib.ticker import ScalarFormatter
 
 from slipfree.atlas.atlas import Atlas
 from slipfree.core.arguments import checked
-from slipfree.core.errors import ModelError, similar
+from slipfree.core.errors import ModelError, check_known
 from slipfree.core.quantities import QUANTITIES, joint_angles
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
@@ -304,11 +304,7 @@ def plot(
         plots = motion_plots(run, grid, base, prisms)
     known = {plot.name: plot for plot in plots}
     name = plots[0].name if name is None else name
-    if name not in known:
-        raise ModelError(
-            f"name: expected one of the figures {', '.join(known)}, found {name!r}; "
-            f"{similar(name, known)}correct the name"
-        )
+    check_known("name", [name], known, "one of the figures")
     return draw([known[name]])[name]
 
 

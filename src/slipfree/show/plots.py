@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import check_known
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.show import style
@@ -89,12 +89,7 @@ def save(
 ) -> list[Path]:
     """Draw figures, write them to a folder in formats such as ``"png"``, and return their paths."""
     known = FigureCanvasBase.get_supported_filetypes()
-    for name in formats:
-        if name not in known:
-            raise ModelError(
-                f"formats: expected some of {', '.join(sorted(known))}, found {name!r}; choose "
-                "another format"
-            )
+    check_known("formats", formats, sorted(known), "some of")
     make_folder(Path(folder))
     files = list[Path]()
     # Figures are reference cycles that hold images of several megabytes; without a search for

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from slipfree.core.dae import Dae, invalid_start
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, check_known
 from slipfree.core.newton import solve_equations, solve_linear
 from slipfree.core.records import Array, Mask, Record, leaves
 from slipfree.core.trajectory import SolverError, Trajectory
@@ -286,11 +286,7 @@ def drive(
         If Newton's method finds no solution of the collocation equations.
     """
     t, names = check_times(t), [label.full for label in leaves(dae.labels.x)]
-    if not set(free_states) <= set(names):
-        raise ModelError(
-            f"free_states: expected names of states, {', '.join(names)}, found "
-            f"{', '.join(sorted(set(free_states) - set(names)))}; correct the names"
-        )
+    check_known("free_states", free_states, names, "names of states,")
     clock, system = time.process_time(), with_inputs(dae, inputs, 0, options)
     mask = np.array([name in free_states for name in names])
     best, elements, error = _refine_elements(system, mask, start, t, options.tolerance)

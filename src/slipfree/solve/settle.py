@@ -14,7 +14,7 @@ import numpy as np
 from slipfree.batch.many import Placement, find_rests, obstacles, wheel_checks
 from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, check_known
 from slipfree.core.lookups import evaluate
 from slipfree.core.newton import solve_linear
 from slipfree.core.records import Array, leaves
@@ -255,12 +255,8 @@ def first_guess(dae: Dae, x: Array, given: Mapping[str, float]) -> Array:
     """Return an initial guess of ``z`` in local coordinates; ``given`` is in map coordinates."""
     z = np.array(guess_function(dae)(x)).ravel()
     names = [label.full for label in leaves(dae.labels.z)]
+    check_known("guess", given, names, "names of unknowns of the model,")
     for name, value in given.items():
-        if name not in names:
-            raise ModelError(
-                f"guess: expected names of unknowns of the model, {', '.join(names)}, found "
-                f"{name!r}; correct the name"
-            )
         index = names.index(name)
         z[index] = value - dae.shift[1][index]
     return z
@@ -309,17 +305,14 @@ def settle_contact(
         If ``dae`` is not a closure model, the wheel or a name is unknown, ``x`` or ``y`` is given,
         or the vehicle cannot stand with this contact point.
     """
-    known = {label.wheel for label in leaves(dae.labels.z[0]) if label.name == "contact_x"}
+    contacts = (label for label in leaves(dae.labels.z[0]) if label.name == "contact_x")
+    known = sorted(label.wheel for label in contacts if label.wheel)
     if not known:
         raise ModelError(
             "settle_contact: expected a model whose first unknowns are contact points, found no "
             "unknown 'contact_x'; use a closure model"
         )
-    if wheel not in known:
-        names = ", ".join(sorted(filter(None, known)))
-        raise ModelError(
-            f"settle_contact: expected one of the wheels {names}, found {wheel!r}; correct the name"
-        )
+    check_known("settle_contact", [wheel], known, "one of the wheels")
     fixed = {name: start.pop(name) for name in ("x", "y") if name in start}
     if fixed:
         raise ModelError(

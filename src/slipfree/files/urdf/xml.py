@@ -68,7 +68,7 @@ def parse(data: bytes, name: str) -> Element:
             raise DataError(f"{name}: expected XML, found {known.name}; {words}")
     if not data.strip(b"\xef\xbb\xbf \t\r\n\0"):
         raise DataError(f"{name}: expected XML, found an empty file; copy it again")
-    if not is_markup(data[:200]):
+    if not is_markup(data[:HEAD]):
         words = "found a file that does not begin with '<'"
         raise DataError(f"{name}: expected XML, {words}; give another file, or convert it")
     parser = expat.ParserCreate()

@@ -15,7 +15,7 @@ import scipy
 from pydantic import Field
 
 from slipfree.catalog import rigid_skid_steer
-from slipfree.core.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError, check_known
 from slipfree.core.facts import Lines
 from slipfree.core.records import Array, ComplexArray, Indices, Mask
 from slipfree.core.trajectory import Frame, Outcome
@@ -365,11 +365,7 @@ def own_unknowns(problem: Problem[Fit], names: Sequence[str]) -> list[Unknown]:
             checks = [("one of the wheels", each, names) for each in own.wheels]
             checks.insert(0, ("one of the quantities", own.quantity, quantities))
             for words, each, known in checks:
-                if each not in known:
-                    raise ModelError(
-                        f"unknown {name!r}: expected {words} {', '.join(known)}, found {each!r}; "
-                        "correct it"
-                    )
+                check_known(f"unknown {name!r}", [each], known, words)
     return found
 
 

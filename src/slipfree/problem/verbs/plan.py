@@ -176,7 +176,11 @@ def _turns(setup: plan_setup.Planning, plan: Plan | LongPlan) -> dict[str, Fact]
 
 
 def optimality_facts(plan: Plan) -> dict[str, Fact]:
-    """Return the second-order conditions and the prices of the limits of a solved plan."""
+    """Return the second-order conditions and the prices of the limits of a solved plan.
+
+    A price is in units of the cost per unit of the bound, which differ from plan to plan; its fact
+    has no unit.
+    """
     facts = {
         f"plan_price_{price.label.name}": Fact(price.rate)
         for price in plan.prices

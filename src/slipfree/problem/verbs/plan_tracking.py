@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.control.path_following import commanded
-from slipfree.core.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError, check_known
 from slipfree.core.facts import Fact, TableColumn, table
 from slipfree.core.rearrange import substitute
 from slipfree.core.records import leaves
@@ -128,11 +128,7 @@ def follow_plan(
     first window cannot be solved, or a motion fails before its first sample.
     """
     for names, known, what in ((by, WAYS, "by"), (disturb, DISTURBANCES, "disturb")):
-        for name in names:
-            if name not in known:
-                raise ModelError(
-                    f"{what}: expected one of {', '.join(known)}, found {name!r}; correct the name"
-                )
+        check_known(what, names, known)
     for name, most in (("friction", 1.0), ("radii", MAX_RADIUS_ERROR)):
         if disturb.get(name, 0.0) >= most:
             raise ModelError(
