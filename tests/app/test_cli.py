@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import slipfree
 from helpers.cases import ROOT
-from helpers.commands import invoke, refused, sets
+from helpers.commands import invoke, printed, refused, sets
 from helpers.fuzz_files import bases, document
 from helpers.problem_files import PROBLEM
 from slipfree.cli import app, console
@@ -359,8 +359,9 @@ def test_a_result_is_no_problem():
 def test_info(folder):
     invoke("run", "p.toml", "--no-draw")
     result = invoke("info", "p.nc", code=0)
-    for words in ("Überfahrt", f"slipfree version {slipfree.__version__}", "slip_along "):
+    for words in ("Überfahrt", f"slipfree version {slipfree.__version__}", "info -v p.nc"):
         assert words in " ".join(result.stdout.split())
+    assert "slip_along " in printed("info", "-v", "p.nc")
     assert PROBLEM not in result.stdout
     assert invoke("info", "p.nc", "--problem").stdout == PROBLEM
     bare = netcdf.read("p.nc")

@@ -224,9 +224,7 @@ def test_a_vehicle_file_by_itself(tmp_path):
     ]
     known = facts(found)
     assert known["inputs"] == "2: left_drive_rate, right_drive_rate"
-    assert known["can roll without slip"].endswith(
-        "rolling would take more free wheels or joints: 1"
-    )
+    assert known["can roll without slip"].endswith("would need 1 more free wheel or joint")
     assert known["the ground determines"] == "height, pitch, roll"
     assert known["suspension"] == "0 of 0 for exact contact of all wheels"
     assert known["condition of rates"].endswith("at the start, least determined: caster_rate")

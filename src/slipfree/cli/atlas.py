@@ -108,6 +108,7 @@ def atlas(
         elif file.suffix.lower() == ".toml":
             problem = console.read_problem(file, own, trust, "atlas")
         else:
+            console.refuse_result(file)
             raise DataError(
                 f"{file}: expected a problem file (.toml), or a map and a vehicle, found no "
                 f"vehicle; name one: slipfree atlas {shlex.quote(str(file))} VEHICLE"

@@ -108,7 +108,7 @@ Scheduler = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Compute on the workers of this Dask scheduler."),
 ]
-Draw = Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")]
+Draw = Annotated[bool, typer.Option("--draw/--no-draw", " /--no-figures", help="Draw figures.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
 ResultFile = Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")]
 
@@ -356,9 +356,9 @@ def has_bar() -> bool:
     return not any(_current_output().options)
 
 
-def is_quiet() -> bool:
-    """Return whether ``--quiet`` is given."""
-    return _current_output().options.quiet
+def output_options() -> OutputOptions:
+    """Return the output options of the running command."""
+    return _current_output().options
 
 
 def plain(value: Any) -> Any:

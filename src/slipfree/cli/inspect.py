@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -133,7 +134,9 @@ def vehicle(
 
 
 def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] = False) -> None:
-    """Print the outcome of a result and ranges of its quantities.
+    """Print the outcome and all facts of a result.
+
+    With --verbose, print also the range of every quantity.
 
     Parameters
     ----------
@@ -173,15 +176,19 @@ def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] =
         facts, summary = facts_of(motion)
         lines = [(name.replace("_", " "), value) for name, value in attributes.items()]
         console.print_facts(
-            [outcome_fact(motion), *(each for each in lines if each not in summary), *summary]
+            [outcome_fact(motion), *summary, *(each for each in lines if each not in summary)]
         )
         if go_on := outputs.resume_command(motion, file):
             console.print_line(f"to resume: {go_on}")
-        console.print_line()
+        rows = ranges(motion)
+        command = shlex.join(["slipfree", "info", "-v", str(file)])
+        hint = f"ranges of {len(rows)} quantities: {command}"
+        console.print_line("" if console.output_options().verbose else hint)
         console.add_json("outcome", motion.outcome.name.lower)
         console.add_json("attributes", lambda: attributes)
         console.add_json("result", lambda: outputs.motion_json(motion, facts))
-        console.show(ranges(motion))
+        if console.output_options().verbose:
+            console.show(rows)
 
 
 def export(

@@ -38,7 +38,7 @@ TABLES = {  # comments
     "given": "commands of the platform: forward, to the left [m/s], counter-clockwise [rad/s]",
 }
 COMMANDS = {"v_x": 0.2, "v_y": 0.0, "omega_z": 0.05}  # of an inverse problem [m/s, rad/s]
-NEED = ("file", "friction")  # keys whose values are names of input files
+NEEDED = re.compile(r'\b(?:file|friction) = "(.+?)"')  # keys with names of input files
 
 
 Kind = Literal["direct", "inverse", "plan", "atlas"]  # of a problem: the name of its template
@@ -75,15 +75,20 @@ def new(
             "another name"
         )
     out = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
+    _check_new(out, force)
     word = shlex.quote(str(out))
     text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
     text = text.replace(f" {HOLE}", f" {word}")
     if ground is not None or vehicle is not None or settings:
         if ground is None or vehicle is None:
+            given = {"--ground MAP": ground, "--vehicle VEHICLE": vehicle}
+            missing = " and ".join(option for option, value in given.items() if value is None)
             raise DataError(
-                "new: expected --ground and --vehicle together, found one of them or --set alone; "
-                "add the other one"
+                f"new: expected --ground and --vehicle together, found no {missing}; add it, or "
+                "omit all options and change the written file"
             )
+        import numpy as np
+
         from slipfree.problem.build_vehicle import build_vehicle
         from slipfree.routing.traversability import extents
 
@@ -114,18 +119,16 @@ def new(
             tables["given"] = COMMANDS
         if kind == "plan":
             # ahead, left, right or behind: the farthest place that is on the map
-            reach, goals = extents(build_vehicle(problem))[2], []
-            axes = ("x", surface.grid.x, math.cos), ("y", surface.grid.y, math.sin)
-            for turn in (0.0, 0.5, -0.5, 1.0):
-                angle, goal = heading + turn * math.pi, dict[str, float]()
-                for each, axis, way in axes:
-                    margin = min(reach, float(axis[-1] - axis[0]) / 2)
-                    low, high = float(axis[0]) + margin, float(axis[-1]) - margin
-                    goal[each] = min(max(place[each] + AHEAD * reach * way(angle), low), high)
-                goals.append({each: round(value, 3) for each, value in goal.items()})
-            tables["goal"] = max(
-                goals, key=lambda goal: round(math.dist(place.values(), goal.values()), 2)
-            )
+            reach, here = extents(build_vehicle(problem))[2], np.array([*place.values()])
+            west, east, south, north = surface.grid.domain
+            low, high = np.array([west, south]), np.array([east, north])
+            margin = np.minimum(reach, (high - low) / 2)
+            turns = heading + math.pi * np.array([0.0, 0.5, -0.5, 1.0])
+            goals = here + AHEAD * reach * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+            goals = np.clip(goals, low + margin, high - margin)
+            distances = np.linalg.norm(goals - here, axis=1).round(2)
+            goal = goals[np.argmax(distances)].round(3).tolist()
+            tables["goal"] = dict(zip("xy", goal, strict=True))
         text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
     write_new_file(text, out, force)
     solve = "atlas" if kind == "atlas" else "run"
@@ -151,14 +154,18 @@ def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, dict[st
 
 def write_new_file(text: str, out: Path, force: bool) -> None:
     """Write a new file; raise DataError if it exists without ``force``, or cannot be written."""
+    _check_new(out, force)
+    replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))
+    add_json_file(out)
+
+
+def _check_new(out: Path, force: bool) -> None:
+    """Raise DataError if a file exists without ``force``, or cannot be written."""
     check_outputs([out])
     if out.exists() and not force:
         raise DataError(
             f"{out}: expected a new file, found an existing one; replace it with --force"
         )
-
-    replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))
-    add_json_file(out)
 
 
 def examples(
@@ -202,20 +209,13 @@ def examples(
                 f"{similar(name, list(shipped))}list them with slipfree examples"
             )
 
-    def named(table: Mapping[str, Any]) -> Iterator[str]:
-        for key, value in table.items():
-            if isinstance(value, Mapping):
-                yield from named(value) if key != "output" else ()
-            elif key in NEED and isinstance(value, str):
-                yield value
-
     # with the problems and the data files that they name
     texts = dict[str, str]()
     while waiting:
         name = waiting.pop()
         texts[f"{name}.toml"] = text = shipped[name].read_text(encoding="utf-8")
         above = PurePosixPath(name).parent
-        for each in {(above / file).as_posix() for file in named(tomllib.loads(text))} - {*texts}:
+        for each in {(above / file).as_posix() for file in NEEDED.findall(text)} - {*texts}:
             if (other := each.removesuffix(".toml")) in shipped:
                 waiting.append(other)
             elif (content := _folder() / each).is_file():

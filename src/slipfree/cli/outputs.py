@@ -70,7 +70,7 @@ def print_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
     """
     from slipfree.core.trajectory import outcome_title, outcome_words
 
-    words = outcome_words(run) if console.is_quiet() else outcome_title(run)
+    words = outcome_words(run) if console.output_options().quiet else outcome_title(run)
     console.print_error(f"{words}; {out} contains the result so far")
     if go_on:
         console.print_error(f"to resume: {go_on}")

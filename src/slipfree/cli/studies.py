@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -375,15 +374,10 @@ def sweep(
     # finished runs without a result file, such as those run without --keep
     moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST})) if keep else []
     if missing := [run for run in moved if not rows.result_path(run).exists()]:
-        (first,) = rows.read(missing[:1])
-        sets = [word for each in (*plan.settings, *first.settings) for word in ("--set", each)]
-        sets += [word for each in plan.problem.trusted for word in ("--trust", each)]
-        file_of_first = str(rows.result_path(first.run))
-        command = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", file_of_first]
         runs, have = ("run", "has") if len(missing) == 1 else ("runs", "have")
         console.warn(
-            f"--keep: {len(missing)} finished {runs} {have} no result file; to write all, sweep "
-            f"into another folder with -o; to write the first: {shlex.join(command)}"
+            f"--keep: {len(missing)} finished {runs} {have} no result file; sweep into another "
+            "folder with -o to write all"
         )
     if draw:
         if len(plan.axes) > MAX_KEYS:

@@ -383,9 +383,8 @@ def check_motion(
     elif not may_turn and abs(alike[1.0]) > ALIKE and abs(offset) > OFFSET:
         expected, found = "along the course", f"a constant difference of {offset:.0f} deg"
         remedy = (
-            f"add {offset:.0f} deg to the heading if it counts from another axis (key 'frame': "
-            "'rep103' is from x, 'paper' from y) or is clockwise from north, or give an unknown "
-            "'sensor_heading'"
+            "give --set frame=rep103 if headings count from x, --set frame=paper if from y; else "
+            f"add {offset:.0f} deg to them, or give an unknown 'sensor_heading'"
         )
     else:
         return

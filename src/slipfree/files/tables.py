@@ -76,8 +76,8 @@ DATES = "write dates as in 2026-03-01T12:00:00.5, or times in s"
 REMEDIES = {  # by the units that were expected and found
     ("m", "rad"): "project the positions to metres",
     ("rad/s", "m/s"): "divide the speeds by the radius of the wheels",
-    ("m/s", "rad/s"): "multiply the rates by the radius of the wheels, or, in a fit, set "
-    "data.unit = 'rad/s'",
+    ("m/s", "rad/s"): "multiply the rates by the radius of the wheels, or, in a fit, "
+    "--set data.unit=rad/s",
 }
 LARGE_TIMES = (
     ("nanoseconds", 1e17, "ns"),
@@ -435,15 +435,16 @@ def _choose(
     """Return the column and the unit of each requested quantity; DataError if it is not unique."""
     names = layout.columns
     bases = [split_unit(name) for name in names]
-    chosen = dict[str, tuple[int, str]]()
+    chosen, faults = dict[str, tuple[int, str]](), list[str]()
     for key, name in requested.items():
         base, unit = (part.lower() for part in split_unit(name))
         same = next((aliases for aliases in ALIASES if base in aliases), {base})
+        position = re.compile(rf"(.*[^a-z])?pos(ition)?[._ ]{re.escape(base)}")
         ranks = (
             [k for k, title in enumerate(names) if title == name],
             [k for k, (title, _) in enumerate(bases) if title.lower() == base],
             [k for k, (title, _) in enumerate(bases) if title.lower() in same],
-            [k for k, (title, _) in enumerate(bases) if title.lower().endswith(f"position.{base}")],
+            [k for k, (title, _) in enumerate(bases) if position.fullmatch(title.lower())],
         )
         indices = next((rank for rank in ranks if rank), [])
         # the columns from which a quantity follows, by its name and part, if they are clear
@@ -459,17 +460,20 @@ def _choose(
             chosen |= complete[0]
             continue
         if len(indices) != 1:
-            columns = ", ".join(dict.fromkeys(requested.values()))
             fault = f"{len(indices)} columns {name!r}" if indices else f"no column {name!r}"
             with_unit = re.compile(rf"{re.escape(base)}\s*[\[(]", re.IGNORECASE)
             if not indices and (odd := next(filter(with_unit.match, names), "")):
                 fault += f" (the unit of {odd!r} is unknown: convert it to an SI unit)"
-            raise DataError(
-                f"{layout.path}: expected the columns {columns}, found {fault} among "
-                f"{', '.join(names)[:LONG]}; name the columns in {where}"
-            )
+            faults.append(fault)
+            continue
         k = indices[0]
         chosen[key] = k, unit or bases[k][1] or (layout.units[k] if layout.units else "")
+    if faults:
+        columns = ", ".join(dict.fromkeys(requested.values()))
+        raise DataError(
+            f"{layout.path}: expected the columns {columns}, found {', '.join(faults)} among "
+            f"{', '.join(names)[:LONG]}; name the columns in {where}"
+        )
     return chosen
 
 

@@ -16,7 +16,7 @@ from functools import cache, lru_cache
 from itertools import pairwise
 from math import inf, pi
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -260,7 +260,7 @@ def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) 
     found = "none" if kind == "missing" else format_value(error["input"])
     if kind == "extra_forbidden":
         record = record_at(schema, place[:-1], data)
-        return _unknown(place, record.known_keys(), record.removed_keys)
+        return _unknown(place, record.known_keys())
     if kind == "missing" and isinstance(place[-1], int):
         return Fault(place, "a number", found)
     if kind == "missing":
@@ -277,12 +277,10 @@ def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) 
     return Fault(place, expected, found)
 
 
-def _unknown(place: Place, known: Sequence[str], removed: Mapping[str, str] = {}) -> Fault:
-    """Return the error of an unknown key; ``removed`` are remedies for keys of earlier versions."""
+def _unknown(place: Place, known: Sequence[str]) -> Fault:
+    """Return the error of an unknown key."""
     name = str(place[-1])
     expected = f"one of {listed(known)}" if known else "no key"
-    if name in removed:
-        return Fault(place, expected, f"the key {name!r} of earlier versions; {removed[name]}")
     return Fault(place, expected, f"the unknown key {shortened(name, 40)!r}", similar(name, known))
 
 
@@ -415,9 +413,10 @@ def replace_values(
         except _KeyPlaceError as error:
             faults.append(f"{option} {key.strip()}: {error}")
         except ValueError:
+            several = "; for several values use slipfree sweep FILE --vary" * ("," in text)
             faults.append(
                 f"{option} {shortened(key.strip())}: expected key=value with a value in TOML or a "
-                f"bare word, or key= to remove a key, found {shortened(setting)!r}"
+                f"bare word, or key= to remove a key, found {shortened(setting)!r}{several}"
             )
         else:
             places |= dict.fromkeys(new, setting)
@@ -451,7 +450,6 @@ class Record(BaseModel):
     """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
-    removed_keys: ClassVar[Mapping[str, str]] = {}  # remedies for keys of earlier versions
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:

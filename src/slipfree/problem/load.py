@@ -29,9 +29,6 @@ VERBS: tuple[Verb, ...] = (
     Verb(Fit, "fit"),
     Verb(AtlasKeys, "atlas", "check"),
 )
-REMOVED_VERBS = {
-    "fit-over-map": "use slipfree fit, verb = 'fit', the map as [terrain], data.inputs = 'commands'"
-}
 
 
 def find_verb(name: object) -> Verb | None:
@@ -117,8 +114,10 @@ def load_again(
         found = find_verb(name)
         if found in able:
             return found.schema
-        hint = REMOVED_VERBS.get(str(name), "correct the verb")
-        hint = f"use slipfree {found.commands[0]} {source.path}" if found else hint
+        hint = "correct the verb"
+        if found:
+            others = f"or a problem for slipfree {command}; slipfree examples lists some"
+            hint = f"use slipfree {found.commands[0]} {source.path}, {others}"
         expected = f"{' or '.join(repr(verb.name) for verb in able)} for this command"
         words = "none; add the key" if name is None else f"{toml.format_value(name)}; {hint}"
         raise toml.problem_error(source, [toml.Fault(("verb",), expected, words)])

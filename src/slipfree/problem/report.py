@@ -358,14 +358,16 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     passive = [c.name for c in vehicle.of("passive")]
     given, needed = len(passive) + len(free), _tangential(vehicle) - 3
-    change = f"{'more' if given < needed else 'fewer'} free wheels or joints: {abs(needed - given)}"
+    count = abs(needed - given)
+    nouns = "wheel or joint" if count == 1 else "wheels or joints"
+    change = f"{count} {'more' if given < needed else 'fewer'} free {nouns}"
     if has_law:
         rolls = "the wheels slip as the wheel-ground law determines"
     elif given == needed:
         law = "least" if any(wheel.rollers for wheel in vehicle.wheels) else "rolling"
         rolls = f"yes (slip = '{law}')"
     else:
-        rolls = f"no: its wheels slip as little as possible; rolling would take {change}"
+        rolls = f"no: its wheels slip as little as possible; rolling would need {change}"
     ground = ["height", "pitch", "roll", *(c.name for c in vehicle.of("suspension"))]
     listed_ground = ", ".join(ground if is_exact else [*ground, "depths of the wheels"])
     equations = "equilibrium and the wheel-ground law; they also determine the normal forces"

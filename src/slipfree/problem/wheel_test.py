@@ -7,9 +7,9 @@ to the points. A table of measured points takes the place of a file whose other 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -126,10 +126,6 @@ class WheelFile(OfFit):  # type: ignore[misc]
         priors.
     """
 
-    removed_keys: ClassVar[Mapping[str, str]] = {
-        "loss": "omit it: the loss is robust",
-        "seed": "omit it: choices are the same in each fit",
-    }
     title: str | None = None
     gravity: Gravity = Field(default="earth", description=GRAVITY)
     wheel: TestedWheelTable

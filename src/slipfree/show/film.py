@@ -20,6 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from PIL import Image
 
@@ -213,6 +214,7 @@ class View:
         ax.set(xlim=(-half, half), ylim=(-high, high), aspect="equal")
         self.ground = PolyCollection([], lw=0.4)
         self.paths = list[tuple[Array, LineCollection]]()
+        self.labels = list[tuple[Array, Text]]()
         self.vehicle = PolyCollection([], lw=0.3)
         self.arrows = LineCollection([], lw=1.4)
         self.artists: list[Any] = [self.ground, self.vehicle, self.arrows]
@@ -225,7 +227,11 @@ class View:
 
     def add_paths(self, scene: Scene) -> None:
         """Add the paths of all platforms, keep-out regions, start and goal."""
-        plan = (each for each in scene.ground.lines if each.name in PLAN_LINES)
+        plan = [each for each in scene.ground.lines if each.name in PLAN_LINES]
+        for name, point in (label for each in plan for label in each.labels):
+            text = self.ax.text(0, 0, name, fontsize=7, ha="center", parse_math=False)
+            self.labels.append((point, text))
+            self.artists.append(text)
         for points, colors, look in [
             *(drawn for actor in scene.actors for drawn in _path(scene, actor)),
             *((each.segments, [_shares(each.color)], SOLID) for each in plan),
@@ -244,6 +250,9 @@ class View:
         for path, line in self.paths:  # as far as the ground
             is_near = (np.abs(path - middle)[..., :2] <= self.half).all(axis=-1, keepdims=True)
             line.set_segments([*projected(np.where(is_near, path, np.nan), middle)[..., :2]])
+        for point, text in self.labels:
+            text.set_visible(bool((np.abs(point - middle)[:2] <= self.half).all()))
+            text.set_position(projected(point, middle)[:2])
         faces, colors = list[Array](), list[Array]()
         for body in actor.bodies:
             for mesh, color in body.meshes:

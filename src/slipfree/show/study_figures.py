@@ -7,6 +7,7 @@ the distribution over the runs without varied keys, a curve for one key, a heat 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import combinations
@@ -29,7 +30,12 @@ from slipfree.show import style
 from slipfree.show.plots import Panel, Plot, Swept, Varied, stack
 from slipfree.show.style import MM, PAGE, PALETTE, STOPPED
 
-COLOURS = "viridis"
+# words in the names of metrics, and their colours, on which black numbers are legible
+COLOURS = {
+    "margin|clearance|within_limits|complete": style.RISK.reversed(),
+    "slip|utilisation|friction|tilt|sinkage|violation": style.RISK,
+    "": style.HEIGHTS,
+}
 NOTHING = "0.85"  # colour of cells without a run
 MOST_WORDS = 8  # maximum number of cells per side with numbers
 ROOM = 7  # maximum number of horizontal texts at an axis
@@ -95,7 +101,8 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
     orders = [np.argsort(_positions(each)) for each in (across, up)]
     mean = mean[np.ix_(*orders)]
     ax.set_facecolor(NOTHING)
-    drawn: Any = ax.imshow(mean.T, origin="lower", aspect="auto", cmap=COLOURS)
+    colors = next(colors for words, colors in COLOURS.items() if re.search(words, swept.name))
+    drawn: Any = ax.imshow(mean.T, origin="lower", aspect="auto", cmap=colors)
     bar = ax.figure.colorbar(drawn, ax=ax)
     more = ", mean" if swept.values.shape[-1] > 1 else ""
     bar.set_label(_labelled(f"{swept.name}{more}", swept.unit))
@@ -105,8 +112,7 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
     look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6}
     is_small = max(mean.shape) <= MOST_WORDS
     for i, j in np.argwhere(np.isfinite(mean)).tolist() if is_small else ():
-        color = "black" if drawn.norm(mean[i, j]) > 0.6 else "white"
-        ax.text(i, j, f"{mean[i, j]:.3g}", color=color, **look)
+        ax.text(i, j, f"{mean[i, j]:.3g}", **look)
     return ax
 
 

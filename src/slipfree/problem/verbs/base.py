@@ -356,7 +356,7 @@ class DriveVerb(Verb, ABC):
         own = [name for name in spec.start if name in start.columns]
         units = {name: start.columns[name].label.unit for name in (*own, "z", "pitch", "roll")}
         pose = ", ".join(
-            f"{name} {Fact(start[name][0], unit):{'.4g>deg' if unit == 'rad' else '.3f'}}"
+            f"{name} {Fact(start[name][0], unit):{'.2f>deg' if unit == 'rad' else '.3f'}}"
             for name, unit in units.items()
         )
         facts = drive_facts(start) | closest_fact(setup.vehicle, setup.terrain, setup.start)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
+from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import numpy as np
 import scipy
@@ -31,7 +31,7 @@ from slipfree.files.logs import (
     read_log,
 )
 from slipfree.files.netcdf import FIT, ORIGIN, open_netcdf
-from slipfree.files.tables import ALIASES, PARTS, read_names, split_unit
+from slipfree.files.tables import ALIASES, PARTS, known_unit, read_names, split_unit
 from slipfree.files.toml import Angle, Pair, Positive, Quantity, Record, given_values, name_errors
 from slipfree.fit.drive_fit import (
     BLOCKS,
@@ -163,10 +163,6 @@ class Data(Record):
         that name. [rad/s, m/s, rad, m]
     """
 
-    removed_keys: ClassVar[Mapping[str, str]] = {
-        "files": "use 'file'",
-        "delay": "use 'constants.delay' or 'unknowns.delay'",
-    }
     file: Name | Annotated[tuple[Name, ...], Field(strict=False, min_length=1)]
     surfaces: Annotated[tuple[Name, ...], Field(strict=False)] = ()
     window: Positive | Name | None = None
@@ -245,15 +241,6 @@ class Fit(CommonKeys):
         Numbers to be fitted, by name, beside the usual ones or in their place. [m, rad, s, 1]
     """
 
-    removed_keys: ClassVar[Mapping[str, str]] = {
-        "friction": "use 'constants.friction' or 'unknowns.friction'",
-        "law": "omit it: all vehicles have the friction law of 'stiffness' and 'friction'",
-        **dict.fromkeys(("train", "seed"), "omit it: all campaigns or manoeuvres are predicted"),
-        "loss": "omit it: the loss is robust",
-        "models": "use 'model'",
-        "lengths": "omit it: windows of 5 and 20 m are predicted",
-        "duration": "omit it: windows of 2 and 5 s are predicted, or use 'data.window'",
-    }
     verb: Literal["fit"]
     model: Literal["kinematics", "quasi-static", "dynamics"] = "dynamics"
     frame: Frame = "paper"
@@ -326,7 +313,8 @@ def inputs_of(problem: Problem[Fit], paths: Sequence[Path] = ()) -> LogInputs:
     """Return the inputs of a vehicle: rates of driven wheels, or its sides."""
     spec, data = problem.spec, problem.spec.data
     own = {name: getattr(data.columns, name) for name in SIDES}
-    are_speeds = data.unit == "m/s"
+    _, unit = split_unit(data.columns.left)
+    are_speeds = (known_unit(unit) or [data.unit])[0] == "m/s"
     if spec.vehicle is None:
         with at(problem, ("data", "rates")):
             if data.rates:

@@ -43,7 +43,7 @@ from slipfree.plan.ipopt import (
     seconds_left,
     solve_nlp,
 )
-from slipfree.plan.optimality import Optimality, price_rows, prices_words
+from slipfree.plan.optimality import VALUE, Optimality, price_rows, prices_words
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays, motion_of
 from slipfree.plan.problem import spelled
@@ -88,6 +88,7 @@ windows: {windows}
 starts: {plan_optima:.0f} local optima from {start_count} starts
   {start}: <plan_starts> {outcome}, cost {cost:.6g}, duration {duration:.4g} s, path up to \
 {distance:.2g} m from the best one; {seconds:.2g} s of search
+*limited by: {limited_by} (plan.duration; default: half to twice that of the initial guess)
 *!simulated: {simulated}
 !optimality: {optimality}
 prices of limits: {prices}
@@ -218,7 +219,10 @@ def described(run: Trajectory) -> dict[str, Fact]:
         texts["start_count"] = str(len(facts["plan_starts"].value))
     if "plan_curvature" in facts:
         checked = Optimality(*(facts[f"plan_{name}"].value for name in Optimality._fields))
-        texts |= {"optimality": checked.words, "prices": prices_words(facts["plan_prices"].value)}
+        prices = facts["plan_prices"].value
+        texts |= {"optimality": checked.words, "prices": prices_words(prices)}
+        own = [each for each in prices if each["role"] == DURATION and each["side"] != VALUE]
+        texts |= {"limited_by": prices_words(own)} if own else {}
     return {
         **{name: Fact(text) for name, text in texts.items()},
         "plan_violation": Fact(violation),
