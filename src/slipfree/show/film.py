@@ -252,7 +252,8 @@ class View:
             line.set_segments([*projected(np.where(is_near, path, np.nan), middle)[..., :2]])
         for point, text in self.labels:
             text.set_visible(bool((np.abs(point - middle)[:2] <= self.half).all()))
-            text.set_position(projected(point, middle)[:2])
+            x, y, _ = projected(point, middle)
+            text.set_position((x, y))
         faces, colors = list[Array](), list[Array]()
         for body in actor.bodies:
             for mesh, color in body.meshes:
