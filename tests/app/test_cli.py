@@ -35,8 +35,7 @@ def folder(folder):
 
 def _json(*words: str, code: int = 0) -> dict[str, Any]:
     """Return the one object on stdout of a command that must end with a code."""
-    result = invoke(*words, "--json")
-    assert result.exit_code == code, result.output
+    result = invoke(*words, "--json", code=code)
     found = json.loads(result.stdout, parse_constant=lambda word: pytest.fail(word))
     assert (found["command"], found["exit_code"]) == (words[0], code)
     assert found["meaning"] == console.MEANINGS[code]
@@ -463,10 +462,9 @@ def _problem(name: str = "p.toml", **more: Any) -> str:
 
 def _output(*words: str, code: int) -> str:
     """Return what a command prints, which must be free of control characters."""
-    found = CliRunner().invoke(app, list(words))
-    assert found.exit_code == code, (found.output, found.exception)
-    assert not RAW.search(found.output), found.output
-    return found.output
+    found = printed(*words, code=code)
+    assert not RAW.search(found), found
+    return found
 
 
 def test_what_is_escaped_and_what_stays() -> None:
@@ -504,9 +502,8 @@ def test_titles_and_attributes_of_results() -> None:
     netcdf.write("o.nc", run)
     shown = _output("info", "o.nc", code=0)
     assert re.search(r"^name\\x1b\[31m +" + re.escape(SHOWN), shown, re.MULTILINE)
-    found = CliRunner().invoke(app, ["info", "o.nc", "--json"])
-    assert not RAW.search(found.stdout)
-    assert json.loads(found.stdout)["attributes"]["title"] == NASTY
+    found = _output("info", "o.nc", "--json", code=0)
+    assert json.loads(found)["attributes"]["title"] == NASTY
 
 
 def test_names_of_vehicles() -> None:
@@ -534,7 +531,7 @@ def test_warnings_and_details() -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX terminal")
 def test_a_terminal() -> None:
     name = _problem(title=NASTY)
-    assert CliRunner().invoke(app, ["run", name, "-o", "o.nc", "--no-draw"]).exit_code == 0
+    invoke("run", name, "-o", "o.nc", "--no-draw", code=0)
     run = netcdf.read("o.nc")
     run.attributes["problem"] += f"# {NASTY}\r\n"
     netcdf.write("o.nc", run)

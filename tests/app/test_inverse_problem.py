@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import PROBLEMS
-from helpers.commands import invoke, refused, sets
+from helpers.commands import invoke, printed, refused, sets
 from slipfree.core.trajectory import Outcome, SolverError, Stop
 from slipfree.files import netcdf
 from slipfree.problem.load import load_problem
@@ -248,7 +248,6 @@ def test_a_path_of_another_program() -> None:
     rows = [line.split(",") for line in CSV.splitlines()[1:]]
     lines = [f"{int(t) * 1000};{x};{y};0;odom".replace(".", ",") for t, x, y, _ in rows]
     Path("way.csv").write_text("\n".join(["time [ms];X;Y;yaw_deg;frame", *lines]))
-    done = invoke("check", "file.toml", code=0)
-    words = " ".join(done.output.split())
+    words = " ".join(printed("check", "file.toml").split())
     assert "path of 6 way-points in 5 s; " in words
     assert "time [ms] converted from ms to s; yaw_deg converted from deg to rad" in words

@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from helpers.cases import DATA, PROBLEMS, ROOT
-from helpers.commands import build_errors, error_of, refuses
+from helpers.commands import build_errors, error_of, invoke, refuses, sets
 from helpers.problem_files import FILE, VALID, _read
-from slipfree.cli import app
 from slipfree.files.toml import EXAMPLE, ProblemError
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, run_problem
@@ -164,14 +162,11 @@ def test_every_other_way_is_tried() -> None:
 def test_a_starter_goes_the_other_way(key: tuple[str, str]) -> None:
     kind, beginning = key
     (words,) = (text for name, text in comments() if name == kind and text.startswith(beginning))
-    runner = CliRunner()
-    assert runner.invoke(app, ["new", kind, "mine"]).exit_code == 0
+    invoke("new", kind, "mine", code=0)
     for settings in WAYS[key]:
         if name := re.search(r'name = "(\w+)"', words):
             assert name[1] in " ".join(settings)
-        options = [part for each in settings for part in ("--set", each)]
-        result = runner.invoke(app, ["check", "mine.toml", *options])
-        assert (result.exit_code, result.stdout[:2]) == (0, "ok"), (settings, result.output)
+        assert invoke("check", "mine.toml", *sets(*settings), code=0).stdout.startswith("ok")
 
 
 REFUSED = tomllib.loads((DATA / "refused_settings.toml").read_text())

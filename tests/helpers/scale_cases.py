@@ -18,6 +18,7 @@ from slipfree.solve.settle import settle_contact
 from slipfree.vehicle.sections import Section
 
 TOLERANCE = 1e-8
+OPTIONS = sf.SolverOptions(tolerance=TOLERANCE)
 KINEMATIC = {"m", "m2", "m-1", "rad", "s-1", "1"}  # units without force
 SIDE = np.linspace(-5.0, 5.0, 41)  # nodes of the map at scale 1 [m]
 
@@ -74,9 +75,7 @@ def direct(
     dae = sf.direct_kinematics(scaled(three_wheeler(), scale), ground(scale), slip=slip)
     start = sf.settle(dae, x=0.3 * scale, heading=0.2)
     t = np.linspace(0, end, 121)
-    return sf.simulate(
-        dae, start, dae.inputs(**PAPER_RATES), t, options=sf.SolverOptions(tolerance=TOLERANCE)
-    )
+    return sf.simulate(dae, start, dae.inputs(**PAPER_RATES), t, options=OPTIONS)
 
 
 def to_the_edge(scale: float) -> sf.Trajectory:
@@ -84,9 +83,7 @@ def to_the_edge(scale: float) -> sf.Trajectory:
     dae = sf.direct_kinematics(scaled(three_wheeler(), scale), bicubic(scale))
     start = sf.settle(dae, x=0.3 * scale, y=3.5 * scale)
     inputs = dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
-    return sf.simulate(
-        dae, start, inputs, np.linspace(0, 6, 121), options=sf.SolverOptions(tolerance=TOLERANCE)
-    )
+    return sf.simulate(dae, start, inputs, np.linspace(0, 6, 121), options=OPTIONS)
 
 
 def montana(scale: float) -> sf.Trajectory:
@@ -94,9 +91,7 @@ def montana(scale: float) -> sf.Trajectory:
     start = sf.settle(sf.direct_kinematics(vehicle, ground), x=0.3 * scale, heading=0.2)
     dae = sf.montana_kinematics(vehicle, ground)
     inputs = dae.inputs(**PAPER_RATES)
-    return sf.simulate(
-        dae, start, inputs, np.linspace(0, 6, 121), options=sf.SolverOptions(tolerance=TOLERANCE)
-    )
+    return sf.simulate(dae, start, inputs, np.linspace(0, 6, 121), options=OPTIONS)
 
 
 def inverse(scale: float, solve_for: str) -> sf.Trajectory:
@@ -107,9 +102,7 @@ def inverse(scale: float, solve_for: str) -> sf.Trajectory:
     start = sf.simulate(dae, sf.settle(dae, heading=0.1), inputs, np.linspace(0, 0.1, 3))
     back = sf.inverse_kinematics(vehicle, ground, given=PLANAR, solve_for=solve_for)
     given = back.inputs(velocity_x=0.01255 * scale, velocity_y=0.12865 * scale, heading_rate=0.0159)
-    return sf.simulate(
-        back, start, given, np.linspace(0, 4, 41), options=sf.SolverOptions(tolerance=TOLERANCE)
-    )
+    return sf.simulate(back, start, given, np.linspace(0, 4, 41), options=OPTIONS)
 
 
 def path(scale: float, ground: Ground) -> sf.Trajectory:
@@ -124,9 +117,7 @@ def path(scale: float, ground: Ground) -> sf.Trajectory:
     t = np.linspace(0, 6, 61)
     rates = zip(PLANAR, (x, y, heading), strict=True)
     inputs = back.inputs(**{name: ca.jacobian(each, back.t) for name, each in rates})
-    return drive(
-        back, start, inputs, t, free_states=["steer"], options=sf.SolverOptions(tolerance=TOLERANCE)
-    ).run
+    return drive(back, start, inputs, t, free_states=["steer"], options=OPTIONS).run
 
 
 def rover(scale: float) -> sf.Trajectory:
@@ -136,9 +127,7 @@ def rover(scale: float) -> sf.Trajectory:
     )
     start = sf.settle(dae, heading=0.1)
     inputs = dae.inputs(forward=0.1 * scale, yaw_rate=0.05)
-    return sf.simulate(
-        dae, start, inputs, np.linspace(0, 3, 31), options=sf.SolverOptions(tolerance=TOLERANCE)
-    )
+    return sf.simulate(dae, start, inputs, np.linspace(0, 3, 31), options=OPTIONS)
 
 
 def from_a_contact(scale: float) -> sf.Trajectory:

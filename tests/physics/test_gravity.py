@@ -96,11 +96,14 @@ def driven(model, duration=2.0):
     return sf.simulate(model, sf.settle(model), inputs, np.linspace(0, duration, 6))
 
 
+def on_earth_and_moon(model, **keys):
+    """Return the motions of a cart with the same rates in both gravities."""
+    vehicles = cart(**keys), sf.in_gravity(cart(**keys), MOON)
+    return [driven(model(vehicle, HILLS)) for vehicle in vehicles]
+
+
 def test_loads_and_torques_scale_with_gravity_and_friction_does_not():
-    earth, moon = (
-        driven(sf.direct_kinematics(vehicle, HILLS))
-        for vehicle in (cart(), sf.in_gravity(cart(), MOON))
-    )
+    earth, moon = on_earth_and_moon(sf.direct_kinematics)
     for name in ("x", "y", "heading", "tilt_left", "slip_across"):
         assert np.array_equal(moon[name], earth[name])
     for name in ("utilisation", "friction_needed", "tip_over_margin"):
@@ -112,19 +115,12 @@ def test_loads_and_torques_scale_with_gravity_and_friction_does_not():
 
 
 def test_friction_decides_a_slow_motion_alike_in_any_gravity_unless_springs_act():
-    earth, moon = (
-        driven(sf.quasi_statics(vehicle, HILLS))
-        for vehicle in (cart(axle="fixed"), sf.in_gravity(cart(axle="fixed"), MOON))
-    )
+    earth, moon = on_earth_and_moon(sf.quasi_statics, axle="fixed")
     assert moon["slip_along"] == pytest.approx(earth["slip_along"], abs=1e-9)
     assert moon["utilisation"] == pytest.approx(earth["utilisation"], rel=1e-6)
     ratio = MOON / EARTH_GRAVITY
     assert moon["force_normal"] == pytest.approx(ratio * earth["force_normal"], rel=1e-6)
-    sprung = {"axle": "tilting", "stiffness": 60.0}
-    earth, moon = (
-        driven(sf.quasi_statics(vehicle, HILLS))
-        for vehicle in (cart(**sprung), sf.in_gravity(cart(**sprung), MOON))
-    )
+    earth, moon = on_earth_and_moon(sf.quasi_statics, axle="tilting", stiffness=60.0)
     # the loads overturn tilts; springs that are as stiff everywhere hold them better on the moon
     assert np.abs(moon["tilt_left"]).max() < 0.5 * np.abs(earth["tilt_left"]).max()
 

@@ -6,13 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from typer.testing import CliRunner
 
 import slipfree as sf
 from helpers.cases import PROBLEMS
-from helpers.commands import refuses
+from helpers.commands import invoke, printed, refuses, sets
 from slipfree.catalog import three_wheeler
-from slipfree.cli import app
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
 from slipfree.files import netcdf
@@ -136,10 +134,8 @@ def table(run):
 
 def test_starts_in_processes_are_those_of_one_process(tmp_path, monkeypatch):
     out = tmp_path / "p.nc"
-    words = [word for each in FEW for word in ("--set", each)]
-    result = CliRunner().invoke(app, ["run", str(PROBLEM), "-o", str(out), "--no-draw", *words])
-    assert result.exit_code == 0, result.output
-    told = CliRunner().invoke(app, ["info", str(out)]).stdout
+    invoke("run", PROBLEM, "-o", out, "--no-draw", *sets(*FEW), code=0)
+    told = printed("info", out)
     assert re.search(r"^starts +\d local optim\w+ from 2 starts$", told, re.MULTILINE)
     assert re.search(r"^  follow +verified, cost 0\.\d+, duration ", told, re.MULTILINE)
     stored = netcdf.read(out)

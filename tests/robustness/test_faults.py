@@ -19,12 +19,10 @@ import numpy as np
 import psutil
 import pytest
 from matplotlib.figure import Figure
-from typer.testing import CliRunner
 
 from helpers import sweep_cases
-from helpers.commands import refuses
+from helpers.commands import invoke, refuses
 from helpers.fuzz_files import bases, document, results
-from slipfree.cli import app
 from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.trajectory import Outcome, Trajectory
 from slipfree.core.version import __version__
@@ -222,8 +220,7 @@ def test_a_full_disk_leaves_the_old_file_and_the_result_elsewhere(
         replace(part, target)
 
     monkeypatch.setattr(Path, "replace", fail)
-    found = CliRunner().invoke(app, ["run", "p.toml", "-o", "p.nc", "--no-draw"])
-    assert found.exit_code == 1
+    found = invoke("run", "p.toml", "-o", "p.nc", "--no-draw", code=1)
     (saved,) = other.glob("slipfree_*/p.nc")
     assert netcdf.read(saved).stop is None
     assert found.stderr == (
@@ -257,9 +254,8 @@ def test_memory_that_runs_out_is_told(folder: Path, monkeypatch: Any) -> None:
 
     monkeypatch.chdir(folder)
     monkeypatch.setattr("slipfree.problem.result.build", fail)
-    found = CliRunner().invoke(app, ["check", "p.toml"])
-    assert found.exit_code == 1
-    assert found.stderr.startswith("not enough memory: reduce 'terrain.window'")
+    told = invoke("check", "p.toml", code=1).stderr
+    assert told.startswith("not enough memory: reduce 'terrain.window'")
 
 
 # Sweeps, processes and clusters that are killed

@@ -11,15 +11,13 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 import slipfree as sf
 from helpers.cases import ROOT
-from helpers.commands import refuses
+from helpers.commands import refused, refuses
 from helpers.fuzz_checks import READ, REFUSED, judged, judged_silently
 from helpers.fuzz_damage import Case
 from helpers.fuzz_files import KINDS, SILENT_KINDS, bases, document, drawn, results
-from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.files.toml import ProblemError
 from slipfree.files.vehicle_toml import open_file
@@ -147,10 +145,9 @@ def test_values_of_the_command_line_beyond_reason_are_refused(
     file = tmp_path / "p.toml"
     file.write_text(document(bases("direct")[0]))
     command = ["check"] if option == "--set" else ["sweep", "-o", str(tmp_path / "out")]
-    result = CliRunner().invoke(app, [*command, str(file), option, value])
-    assert result.exit_code == 2
-    assert f"{option} {value[:5]}" in result.stderr
-    assert len(result.stderr) < 1000
+    errors = refused(*command, file, option, value)
+    assert f"{option} {value[:5]}" in errors
+    assert len(errors) < 1000
 
 
 def test_a_long_text_of_dots_is_no_long_key(tmp_path: Path) -> None:
@@ -178,9 +175,8 @@ def test_the_name_of_a_problem_in_a_result_is_no_path(name: str, tmp_path: Path)
 def test_devices_are_not_replaced(tmp_path: Path) -> None:
     file = tmp_path / "p.toml"
     file.write_text(document(bases("direct")[0]))
-    found = CliRunner().invoke(app, ["run", str(file), "-o", "/dev/null", "--no-draw"])
-    assert found.exit_code == 2
-    assert "/dev/null: expected the name of a file" in found.stderr
+    errors = refused("run", file, "-o", "/dev/null", "--no-draw")
+    assert "/dev/null: expected the name of a file" in errors
     assert Path("/dev/null").is_char_device()
 
 
