@@ -521,6 +521,7 @@ def tile_of(
                 extreme += sign * error * (name == CLEARANCE.name)
                 bands[f"{name}_computed_{end}"] = np.where(between, extreme, np.nan)
         bands = {name: np.where(stands, values, np.nan) for name, values in bands.items()}
+        # an outcome is the index of a limit or check, `COMPLETE` (-1) or `UNSOLVED` (-2)
         bands = {REASON.name: evaluator.codes[outcomes + 2].astype(float)} | bands
         return bands, np.where(stands, states, np.nan)
 

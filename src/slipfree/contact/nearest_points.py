@@ -340,7 +340,11 @@ class NearestPoints:
         return gaps.min(axis=1), starts
 
     def _improved(self, starts: _Starts) -> tuple[Array, Array]:
-        """Return clearances (m,) and feet (m, 3) of the starts after steps of Newton's method."""
+        """Return clearances (m,) and feet (m, 3) of the starts after steps of Newton's method.
+
+        A search goes on while it may still become the closest one of its pose: the others keep a
+        clearance that is too large, but not the least.
+        """
         fixed, left = (starts.frame.T, starts.bounds.T), np.arange(starts.pose.size)
         at, foot = starts.start.T.copy(), starts.spot.T.copy()
         gap, ground = np.empty(left.size), np.empty((3, left.size))

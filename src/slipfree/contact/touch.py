@@ -152,7 +152,13 @@ def plane_of(terrain: Terrain) -> Plane | None:
 
 
 def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Function:
-    """Return the search as a CasADi graph, equivalent to `nearest` of `kernel.c` for maps."""
+    """Return the search as a CasADi graph, equivalent to `nearest` of `kernel.c` for maps.
+
+    Its argument is centre and axle of the wheel (6), its result that of `search_function` (13).
+    Newton's method begins below the tread point nearest to the ground; if it does not converge, it
+    goes on from its end, and then begins again with damped steps. Later attempts are evaluated only
+    if the earlier ones fail.
+    """
     jet, newton = jet_function(terrain), _newton_function(section)
     symbol: Any = ca.SX if jet.is_a("SXFunction") else ca.MX
     asked, begin, gap = symbol.sym("asked", 6), symbol.sym("begin", 2), symbol.sym("gap")

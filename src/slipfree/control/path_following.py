@@ -126,7 +126,7 @@ def follow(model: Dae, path: Path, *, speed: Finite) -> Record:
             f"speed: expected a finite speed other than zero, found {speed} m/s; give a positive "
             "speed, or a negative one to drive backwards"
         )
-    states, plan = _steerable(model, "follow")
+    states, plan = _joints_and_geometry(model, "follow")
     reference = path.symbolic(abs(speed) * model.t, (model.shift[0][0], model.shift[0][1]))
     sign, base = np.sign(speed), plan.base
     curvature = sign * reference.curvature
@@ -182,7 +182,7 @@ def commanded(model: Dae, *, speed: Positive) -> Dae:
     >>> print(f"turns by {run['heading'][-1]:.2f} rad")
     turns by 0.50 rad
     """
-    states, plan = _steerable(model, "commanded")
+    states, plan = _joints_and_geometry(model, "commanded")
     forward, yaw_rate = ca.SX.sym("forward"), ca.SX.sym("yaw_rate")
     inputs = _planar_inputs(model, states, plan, (forward, yaw_rate, speed))
     driven = substitute(model, list(leaves(model.u)), list(leaves(inputs)))
@@ -203,8 +203,8 @@ def driven_vehicle(model: Dae) -> Vehicle:
     return model.vehicle.numeric
 
 
-def _steerable(model: Dae, name: str) -> tuple[dict[str, ca.SX], _PlanarGeometry]:
-    """Return the joints' symbols and the plan view of a vehicle whose inputs are rates."""
+def _joints_and_geometry(model: Dae, name: str) -> tuple[dict[str, ca.SX], _PlanarGeometry]:
+    """Return the joints' symbols and the plan view of a vehicle; its inputs must be rates."""
     wrong = [label.full for label in leaves(model.labels.u) if not label.unit.endswith("s-1")]
     if wrong:
         raise ModelError(

@@ -166,11 +166,16 @@ def pose_graphs(dae: Dae, spread: tuple[bool, ...] = ()) -> PoseGraphs:
     check_exact_closure(vehicle, "guarantee", remedy="its poses are not determined by the ground")
     radii = [wheel.section.torus_radii for wheel in vehicle.numeric.wheels]
     position: Any = dae.z[0]
-    if vehicle.nominal or dae.rest.numel() or dae.standing is not None or None in radii:
+    kinds = {
+        "fitted parameters": vehicle.nominal,
+        "pressed wheels or inertia": dae.rest.numel() or dae.standing is not None,
+        "wheels with another section": None in radii,
+    }
+    if found := [kind for kind, has_kind in kinds.items() if has_kind]:
         raise ModelError(
-            "guarantee: expected kinematics or quasi-statics with exact contact, without fitted "
-            "parameters, and wheels that are tori, discs or spheres, found another model; use "
-            "direct_kinematics"
+            "guarantee: expected kinematics or quasi-statics with exact contact, and wheels that "
+            f"are tori, discs or spheres, found {' and '.join(found)}; use direct_kinematics with "
+            "such wheels"
         )
     state = VehicleState(vehicle, dae.ground, LookupTable(), dae.x, position)
     closed = position.z, position.roll, position.pitch, position.suspension

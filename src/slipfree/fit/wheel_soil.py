@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Le
 
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, check_known
 from slipfree.core.records import Array
 from slipfree.fit.estimate import (
     EDGES,
@@ -337,11 +337,8 @@ class SoilProblem:
 
 def check_constant(unknown: Unknown, soil: Soil) -> None:
     """Raise ModelError unless an unknown is a constant of steady motion, within its bounds."""
-    if unknown.quantity not in STEADY_CONSTANTS:
-        raise ModelError(
-            f"unknown {unknown.name!r}: expected one of the constants of soil "
-            f"{', '.join(STEADY_CONSTANTS)}, found {unknown.quantity!r}; correct it"
-        )
+    name, quantity = unknown.name, unknown.quantity
+    check_known(f"unknown {name!r}", [quantity], STEADY_CONSTANTS, "one of the constants of soil")
     check_nominal(unknown, getattr(soil, unknown.quantity), _limits(unknown, soil, ()), "soil")
 
 
