@@ -11,7 +11,17 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from helpers.shaped import shape_distance, with_shapes
-from slipfree import Analytic, Bicubic, Grid, ModelError, atlas, catalog, direct_kinematics, settle
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    ModelError,
+    atlas,
+    catalog,
+    direct_kinematics,
+    dynamics,
+    settle,
+)
 from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.many import solve_positions, start_states
 from slipfree.core.interval import Intervals, exactly
@@ -437,6 +447,8 @@ def test_invalid_models_and_names_are_refused(wheeler):
     run = settle(model)
     with pytest.raises(ModelError, match="spread: expected one of x, y, heading"):
         guarantee(model, run, 0.01, spread={"z": 0.1})
+    with pytest.raises(ModelError, match="found pressed wheels or inertia; use"):
+        pose_graphs(dynamics(catalog.skid_steer(), replace(model.ground, mu=0.5)))
     plane = direct_kinematics(catalog.three_wheeler(), Analytic(lambda x, y: 0.1 * x + 0 * y))
     with pytest.raises(ModelError, match="expected a model of a vehicle on a map"):
         guarantee(plane, settle(plane), 0.01)

@@ -165,7 +165,6 @@ def pose_graphs(dae: Dae, spread: tuple[bool, ...] = ()) -> PoseGraphs:
         )
     check_exact_closure(vehicle, "guarantee", remedy="its poses are not determined by the ground")
     radii = [wheel.section.torus_radii for wheel in vehicle.numeric.wheels]
-    position: Any = dae.z[0]
     kinds = {
         "fitted parameters": vehicle.nominal,
         "pressed wheels or inertia": dae.rest.numel() or dae.standing is not None,
@@ -177,6 +176,7 @@ def pose_graphs(dae: Dae, spread: tuple[bool, ...] = ()) -> PoseGraphs:
             f"are tori, discs or spheres, found {' and '.join(found)}; use direct_kinematics with "
             "such wheels"
         )
+    position: Any = dae.z[0]
     state = VehicleState(vehicle, dae.ground, LookupTable(), dae.x, position)
     closed = position.z, position.roll, position.pitch, position.suspension
     y = ca.vertcat(pack(dae.x), pack(closed))
