@@ -676,6 +676,10 @@ def _repeat(evaluate: Evaluator, graph: Graph, states: Array, values: Array) -> 
 def _derivatives(
     evaluate: Evaluator, graph: Graph, values: Array, states: Array
 ) -> tuple[Array, Mask, Array]:
+    """Return rates, whether they are solved, and the speed along the path [m/s] of lanes.
+
+    Positions and rates in the states are corrected by the step of the graph.
+    """
     rows = evaluate.graphs.rows
     rates, p, w, change, error, speed = graph.parts[:6]
     states[rows.p], states[rows.w] = values[p], values[w]

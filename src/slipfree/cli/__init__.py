@@ -84,6 +84,7 @@ def main() -> None:
 
 
 def _version(ctx: typer.Context, wanted: bool) -> None:
+    """Print the version, in JSON on request, and exit."""
     if not wanted:
         return
     if "--json" in ctx.obj:

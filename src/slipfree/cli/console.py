@@ -409,6 +409,7 @@ def reporting(duration: float | None) -> Iterator[Reports]:
             seldom(INTEGRATION, f"{INTEGRATION} to {t:.4g}{of} s")
 
     def show_search(phase: str, line: str) -> None:
+        """Show a line on a search, on the bar or now and then in the output."""
         interrupt.check_interrupt()
         if bar is not None:
             bar.update(task, description=escape(visible(line)))

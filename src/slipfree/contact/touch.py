@@ -115,6 +115,7 @@ class _Miss(NamedTuple):
 def _miss(
     section: Section, spot: ca.SX, center: ca.SX, axle: ca.SX, height: ca.SX, gradient: ca.SX
 ) -> _Miss:
+    """Return the trial at the ground point ``spot``, with the tread point facing its normal."""
     normal = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient))
     point = center + section.support(-normal, axle)
     away = point - ca.vertcat(spot, height)

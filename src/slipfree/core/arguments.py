@@ -305,6 +305,7 @@ def _check_radians(value: Any, place: str) -> None:
 
 
 def _numbers(value: Any) -> Iterator[float]:
+    """Yield the numbers in a value; of an array, the one with the largest absolute value."""
     if isinstance(value, Real):
         yield float(value) if not isinstance(value, WithUnit) else value
     elif isinstance(value, np.ndarray):

@@ -161,6 +161,7 @@ def _magnitudes(a: Intervals) -> Intervals:
 
 
 def _power(a: Intervals, b: Intervals) -> Intervals:
+    """Return bounds of powers; the exponent must be one number."""
     if b.low.size != 1 or b.low[0] != b.high[0]:
         return UNBOUNDED
     exponent = float(b.low[0])

@@ -440,6 +440,7 @@ def _variable(variable: Any) -> _Variable:  # which ends all references to the m
 
 
 def _attributes_of(node: Any) -> dict[str, Attribute]:
+    """Return attributes as text or numbers, NaN for empty ones."""
     return {
         name: value.decode(errors="replace")
         if isinstance(value, bytes)

@@ -430,6 +430,7 @@ class _KeyPlaceError(ValueError):
 
 
 def _value(text: str) -> Any:
+    """Return a TOML value, or the text itself if it needs no quotes."""
     try:
         (value,) = load_toml(f"value = {text}").values()
     except ValueError:
@@ -669,6 +670,7 @@ def _or_text(expected: str) -> PlainValidator:
 
 
 def _range(value: Any) -> tuple[float, float]:
+    """Return the ends of a range in ascending order; both are the number of a single one."""
     value = [*map(parse_unit, value)] if isinstance(value, list) else parse_unit(value)
     ends = value if isinstance(value, list) else [value, value]
     if len(ends) == 2 and all(map(is_number, ends)):

@@ -717,6 +717,7 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[toml.Fault]]:
     faults: list[toml.Fault] = []
 
     def build(part: str, make: Callable[[Any], T]) -> tuple[T, ...]:
+        """Return the parts of the tables of a kind; add the errors of invalid ones."""
         made = []
         for index, each in enumerate(getattr(table, part)):
             try:
@@ -762,6 +763,7 @@ def _body(
 
 
 def _section_of(table: AnyWheelTable) -> Section:
+    """Return the section of the table of a wheel."""
     if isinstance(table, WheelTable):
         tube, rollers = table.tube, table.rollers or None
         return section_of_radii(tube, table.radius - tube, rollers=rollers)

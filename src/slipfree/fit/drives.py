@@ -564,6 +564,12 @@ class _PathSlopes:
         self._pose: tuple[Any, ...] | None = None
 
     def __call__(self, k: int, velocity: ComplexArray, turning: Array) -> tuple[Array, Array]:
+        """Return the sines of the nose-up and left-up angles at step ``k``.
+
+        Until the start of a window, positions are measured and headings follow from the course;
+        then both are predicted by the trapezoidal rule. ``velocity`` is forward + i left [m/s],
+        ``turning`` the yaw rate [rad/s].
+        """
         n, own = velocity.shape[1], self._predictor
         if k <= own._lead:
             rows = own._rows[k, :n]

@@ -658,6 +658,7 @@ class KnownSoil(NamedTuple):
 
 
 def _read_soils() -> Iterator[tuple[str, KnownSoil]]:
+    """Yield the names and constants of the known soils."""
     for name, row in read_table(__file__, "soils.toml").items():
         source, shear = row.pop("source"), row.pop("shear", None)
         if shear is not None:

@@ -328,6 +328,7 @@ def _simulated(aims: _Aims, inputs: Array) -> tuple[Array, Candidates]:
     task, n = aims.task, inputs.shape[-1]
 
     def run(part: Indices) -> tuple[Array, Candidates]:
+        """Return costs and motions of candidates; those that end early have infinite costs."""
         many, own = np.repeat(aims.first, part.size, axis=1), inputs[..., part]
         step = min(STEP * task.model.size, task.model.vehicle.trail)
         motions = candidate_lanes(task.evaluate, many, own, task.t, step)

@@ -109,6 +109,7 @@ def differentiate_block(text: str, *, compiled: bool) -> BlockFunctions:
     v, (cost, rows) = arguments[0], values.call(arguments)
 
     def large() -> list[ca.Function]:
+        """Return the rows, their Jacobian and the Hessian of the Lagrangian."""
         s, multipliers = ca.SX.sym("s"), ca.SX.sym("l", rows.numel())
         hessian = ca.triu(ca.hessian(s * cost + ca.dot(multipliers, rows), v)[0])
         return [

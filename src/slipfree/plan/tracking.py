@@ -141,6 +141,7 @@ class Controller(ABC):
         """Return the inputs for states at rest on the ground of the plan."""
 
     def _at_rest(self, x: Array) -> Array:
+        """Return states with those that relax at rest; unchanged if no rest is found."""
         if not self.model.rest.numel():
             return x
         names = self.model.state_names

@@ -221,6 +221,7 @@ def _map_coordinates(
 
 
 def _check_size(width: float, length: float, spacing: float, remedy: str) -> None:
+    """Raise ModelError for a ground of too many nodes; sizes are in metres."""
     nodes = width / spacing * length / spacing
     if nodes > MAX_NODES:
         raise ModelError(
@@ -359,6 +360,7 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
         return ground.crs, _map_coordinates(ground, *_scales(terrain))
 
     def converted(keys: KeyPath, place: Any) -> Any:
+        """Return a table with longitude and latitude converted to x and y."""
         values = place if isinstance(place, Mapping) else place.model_dump(exclude_none=True)
         if not any(name in values for name in DEGREES):
             return place

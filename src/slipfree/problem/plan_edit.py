@@ -620,6 +620,7 @@ class Desk:
         """
 
         def put(data: object) -> object:
+            """Queue a command of the page for the main thread, and return its answer."""
             answer, command = Future[object](), Command(name)
             if name != "cancel":
                 values = data if isinstance(data, dict) else {}

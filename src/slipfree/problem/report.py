@@ -203,6 +203,7 @@ def vehicle_plot(path: Path, settings: Sequence[str] = (), trust: Sequence[Path]
 
 
 def _description(vehicle: Vehicle, dae: Dae, terrain: Terrain, start: Trajectory) -> Description:
+    """Return the description of a vehicle at its start."""
     solved = conditioning(dae, start) if dae.labels.z else []
     clear = lines(START_ROWS, closest_fact(vehicle, terrain, start))
     main, details = counts(vehicle, dae)

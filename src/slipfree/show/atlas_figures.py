@@ -97,6 +97,7 @@ def shaded(colors: Array, drawn: AtlasView) -> Array:
 
 
 def _image(drawn: AtlasView, values: Array, scale: Colormap, norm: Normalize, ax: Axes) -> None:
+    """Draw a shaded map of values; those that are NaN are gray."""
     colors = scale(norm(np.nan_to_num(values)))[..., :3]
     colors[np.isnan(values)] = UNKNOWN
     image = np.clip(shaded(colors, drawn), 0, 1).swapaxes(0, 1)

@@ -238,6 +238,7 @@ def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
     """Return a drawing function that adds a legend of its own colours beside the panel."""
 
     def drawn(ax: Axes) -> None:
+        """Draw a panel with wrapped words and a legend beside it."""
         draw(ax)
         ax.set_ylabel(textwrap.fill(ax.get_ylabel(), WRAP))
         entries = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))

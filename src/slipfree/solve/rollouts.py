@@ -338,6 +338,7 @@ def _run_batch(common: _Common, numbers: Array) -> _Results:
 
 @lru_cache(maxsize=1)
 def _built(model: Callable[..., Dae], parameters: tuple[tuple[str, Any], ...]) -> Dae:
+    """Return the model for parameters; raise ModelError if the function returns none."""
     built = model(**dict(parameters))
     if not isinstance(built, Dae):
         raise ModelError(

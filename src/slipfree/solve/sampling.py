@@ -242,6 +242,7 @@ def to_trajectory(system: System, samples: Samples, report: dict[str, Array]) ->
 
 
 def _check_margins(check: SampledCheck, samples: Samples) -> Array:
+    """Return the margins of a check at samples, NaN where its matrix is singular."""
     try:
         return check.margin(samples.x, samples.z)
     except np.linalg.LinAlgError:

@@ -573,6 +573,7 @@ def seed_facts(sweep: Sweep) -> Iterator[tuple[str, str]]:
 
 
 def _spread(values: Array, unit: str) -> str:
+    """Return mean and extremes of finite values in words."""
     there = values[np.isfinite(values)]
     if not there.size:
         return "no run"

@@ -292,6 +292,7 @@ def _run(command: Sequence[str]) -> None:
     ) as process:
 
         def end() -> None:
+            """End the compiler with its child processes."""
             if process.returncode is None:
                 with suppress(OSError):  # the compiler has just ended
                     if os.name == "posix":

@@ -429,6 +429,7 @@ def _las_points(stream: BinaryIO) -> Points:
     file = laspy.open(stream, laz_backend=laspy.LazBackend.Lazrs, closefd=False)
 
     def chunks() -> Iterator[tuple[Array, Array]]:
+        """Yield points (n, 3) and their classes; withheld points count as noise."""
         for chunk in file.chunk_iterator(CHUNK):
             places = np.column_stack([np.asarray(each) for each in (chunk.x, chunk.y, chunk.z)])
             if not np.isfinite(places).all():

@@ -75,6 +75,7 @@ def joint_values(vehicle: Vehicle, robot: Robot | None) -> tuple[ca.SX, dict[str
             signs[joint.name] = -float(np.sign(np.dot(turned_right(axis), axle)))
 
     def value(joint: UrdfJoint) -> ca.SX:
+        """Return the value of a joint: of a coordinate, a wheel, or at rest within its limits."""
         (*_, joint), factor, offset = robot.tree.followed(joint, {*own, *signs})
         if joint.name in own:
             return offset + factor * own[joint.name]

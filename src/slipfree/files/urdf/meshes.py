@@ -146,6 +146,10 @@ def unit_factor(radii: Array, centers: Array, axle: Array, own: int) -> float | 
 
 
 def _read_files(paths: Sequence[Path]) -> list[TriangleMesh | DataError]:
+    """Return the meshes of files, or their errors, from a process with limits.
+
+    If it dies, each file is read in a process of its own, to find the one at which it died.
+    """
     if find_spec("trimesh") is None:
         return [DataError(missing_package("trimesh", "urdf")) for _ in paths]
     size = sum(path.stat().st_size for path in paths)

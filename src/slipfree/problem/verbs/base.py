@@ -138,6 +138,7 @@ def integrate(setup: Any, options: SolverOptions, watch: Watch) -> Trajectory:
     """
 
     def progress(t: float) -> bool:
+        """Show the time; return False, which ends the motion, after Ctrl-C."""
         try:
             if watch.time is not None:
                 watch.time(t)
