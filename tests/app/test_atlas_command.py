@@ -370,6 +370,7 @@ def test_hostile_maps_are_refused(z, more, expected, most, monkeypatch):
         ),
         (("three_wheeler", "-o", "out.png"), "found '.png'; use out.tif"),
         (("three_wheeler", "-o", "site.tif"), "found the input"),
+        (("three_wheeler", "-o", "."), ".: expected the name of a file to write, found a folder"),
         (("three_wheeler", *sets("model=dynamics")), "'kinematics' or 'quasi-static'"),
     ],
 )

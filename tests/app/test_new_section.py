@@ -62,10 +62,9 @@ time = {{ duration = 1.0, step = 0.25 }}
 
 
 @pytest.fixture
-def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+def write(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Register the section; return a function that writes ground, vehicle and problem."""
     monkeypatch.setitem(SECTIONS, "ellipsoid", Ellipsoid)
-    monkeypatch.chdir(tmp_path)
 
     def write(height: Callable[[Any, Any], Any], camber: float) -> None:
         x = np.linspace(-3, 3, 61)
@@ -75,8 +74,8 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None
             sine = np.sin(camber) * (-1 if name == "left" else 1)
             axle = {"cos": float(np.cos(camber)), "sin": float(sine)}
             text += WHEEL.format(name, at, str(name != "front").lower(), **axle)
-        Path("trike.toml").write_text(text, encoding="utf-8")
-        Path("p.toml").write_text(PROBLEM, encoding="utf-8")
+        (folder / "trike.toml").write_text(text, encoding="utf-8")
+        (folder / "p.toml").write_text(PROBLEM, encoding="utf-8")
 
     return write
 

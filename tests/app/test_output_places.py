@@ -170,6 +170,7 @@ def test_a_table_does_not_replace_the_input_of_the_same_name():
     Path("soft.csv").symlink_to("x.csv")
     for name in ("x.csv", "hard.csv", "soft.csv", "x.toml"):
         assert f"{name}: expected a separate" in refused("wheel", "x.toml", "-o", name)
+    assert ".: expected the name of a file to write" in refused("wheel", "x.toml", "-o", ".")
     assert Path("x.csv").read_text() == points
 
 
@@ -194,14 +195,10 @@ def test_a_table_does_not_replace_the_input_of_the_same_name():
 def test_no_command_replaces_a_file_that_it_reads(words, file):
     for name in ("meshes", "sw"):
         Path(name).mkdir()
-    texts = {
-        "x.toml": FIT,
-        "r.toml": ROBOT,
-        "s.toml": ROBOT.replace("map.asc", "sw/table.csv"),
-        "robot.urdf": URDF,
-    }
-    for name in ("x.csv", "map.asc", "map.prj", "meshes/wheel.stl", "old.nc", "sw/table.csv"):
-        texts[name] = "precious"
+    sweep = ROBOT.replace("map.asc", "sw/table.csv")
+    texts = {"x.toml": FIT, "r.toml": ROBOT, "s.toml": sweep, "robot.urdf": URDF}
+    names = "x.csv", "map.asc", "map.prj", "meshes/wheel.stl", "old.nc", "sw/table.csv"
+    texts |= dict.fromkeys(names, "precious")
     for name, text in texts.items():
         Path(name).write_text(text)
     assert f"{file}: expected a separate file, found the input {file}" in refused(*words)

@@ -345,10 +345,9 @@ def test_films_and_pictures(file: Path, climb_file: Path, tmp_path: Path) -> Non
 
 
 def test_places_are_checked_before_anything_is_drawn(
-    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    file: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "d.html").mkdir()
+    (folder / "d.html").mkdir()
     monkeypatch.setattr("slipfree.problem.result.read", lambda _: pytest.fail("read"))
     for option, name, said in (
         ("--animation", "a.avi", "a name that ends in .mp4 or .gif, found '.avi'; use a.mp4"),
@@ -358,7 +357,7 @@ def test_places_are_checked_before_anything_is_drawn(
         ("--html", "d.html", "expected the name of a file to write, found a folder"),
     ):
         assert said in unseen(file, option, name)
-    assert {path.name for path in tmp_path.iterdir()} == {"d.html"}
+    assert {path.name for path in folder.iterdir()} == {"d.html"}
 
 
 def test_pictures_have_fine_ground_a_scale_and_paths_on_the_ground(drive: Driven) -> None:

@@ -35,6 +35,7 @@ from slipfree.problem.load import load_problem
 from slipfree.show import study_figures as show
 from slipfree.show.plots import Swept, Varied
 from slipfree.sweep import (
+    Done,
     Rows,
     RunRow,
     RunTask,
@@ -117,8 +118,8 @@ def test_a_dry_run_says_what_would_be_run(file):
     assert not (file.parent / "out").exists()
     sweep = sweep_of(file, ["time.step=0.05:0.3:11"], repeat=2)
     with Rows(file.parent / "out", sweep.count, sweep.head) as rows:
-        rows.append(ROW._replace(seconds=6.0))
-        rows.append(ROW._replace(run=2, seconds=8.0))
+        rows.store(1, Done(ROW._replace(seconds=6.0)))
+        rows.store(2, Done(ROW._replace(run=2, seconds=8.0)))
     result = sweep_in(file.parent, *words, "--dry-run")
     assert "about 2.3 min: 7 s per run on 1 process\n" in result.stdout
 
@@ -284,7 +285,7 @@ def test_the_log_keeps_what_was_written(tmp_path):
     folder = tmp_path / "new"
     with Rows(folder, 3, HEAD) as rows:
         assert list(rows) == []
-        rows.append(ROW)
+        rows.store(1, Done(ROW))
         refuses(DataError, "no other process writes, found one in use", Rows, folder, 3, HEAD)
     log = folder / LOG
     whole = log.read_bytes()
@@ -295,21 +296,24 @@ def test_the_log_keeps_what_was_written(tmp_path):
     assert rows_in(folder) == []
 
 
-def test_runs_that_were_lost_are_done_again(tmp_path):
+def test_runs_that_were_lost_or_damaged_are_done_again(tmp_path, monkeypatch):
+    """A result that was moved elsewhere is not damaged."""
+    monkeypatch.setattr("slipfree.sweep.write", lambda part, *_: part.write_bytes(b"motion"))
     outcomes = enumerate(("complete", "lost", "failed"), 1)
     written = [ROW._replace(run=number, outcome=outcome) for number, outcome in outcomes]
     with Rows(tmp_path, 3, HEAD) as rows:
         for row in written:
-            rows.append(row)
+            rows.store(row.run, Done(row, True))
+    rows.file(3).unlink()
     assert rows_in(tmp_path) == [written[0], written[2]]
     with Rows(tmp_path, 3, HEAD, again=True) as rows:
         assert list(rows) == [written[0]]
         assert rows.outcomes["failed"] == 0
         for row in written[1:]:
-            rows.append(row._replace(outcome="complete"))
-    assert [(row.run, row.outcome) for row in rows_in(tmp_path)] == [
-        (k, "complete") for k in (1, 2, 3)
-    ]
+            rows.store(row.run, Done(row._replace(outcome="complete")))
+    assert [row.outcome for row in rows_in(tmp_path)] == ["complete"] * 3
+    rows.file(1).write_bytes(b"damage")
+    assert [row.run for row in rows_in(tmp_path)] == [2, 3]
 
 
 @pytest.mark.slow
@@ -343,8 +347,8 @@ def test_places_of_figures_are_checked_before_anything_runs(file):
 )
 def test_runs_whose_line_was_changed_are_done_again(tmp_path, old, new):
     with Rows(tmp_path, 3, HEAD) as rows:
-        rows.append(ROW)
-        rows.append(ROW._replace(run=3))
+        rows.store(1, Done(ROW))
+        rows.store(3, Done(ROW._replace(run=3)))
     log = tmp_path / LOG
     head, first, second = log.read_bytes().splitlines(keepends=True)
     log.write_bytes(head + first.replace(old, new, 1) + second)
@@ -353,8 +357,7 @@ def test_runs_whose_line_was_changed_are_done_again(tmp_path, old, new):
 
 def test_a_log_of_something_else_is_refused(tmp_path):
     (tmp_path / LOG).write_bytes(b"{\n")
-    with pytest.raises(DataError, match=r"parts.jsonl:1: expected the description of a sweep"):
-        Rows(tmp_path, 3, HEAD)
+    refuses(DataError, "parts.jsonl:1: expected the description", Rows, tmp_path, 3, HEAD)
     (tmp_path / LOG).unlink()
     os.mkfifo(tmp_path / LOG)
     refuses(DataError, "found no regular file", Rows, tmp_path, 3, HEAD)
@@ -362,19 +365,17 @@ def test_a_log_of_something_else_is_refused(tmp_path):
 
 def test_a_map_that_changes_during_a_sweep_ends_it(file, monkeypatch):
     axis = np.linspace(-3, 3, 25)
-    np.savez("map.npz", x=axis, y=axis, z=0 * axis * axis[:, None])
 
-    def change() -> None:
-        np.savez("map.npz", x=axis, y=axis, z=0.1 + 0 * axis * axis[:, None])
+    def write_map(z: float) -> None:
+        np.savez("map.npz", x=axis, y=axis, z=z + 0 * axis * axis[:, None])
 
-    monkeypatch.setattr(Rows, "append", lambda rows, row: (append(rows, row), change()))
+    write_map(0.0)
+    store = Rows.store
+    monkeypatch.setattr(Rows, "store", lambda *words: (store(*words), write_map(0.1)))
     words = [*GRID[:2], *sets("terrain.synthetic=", "terrain.file=map.npz"), "--no-draw", "-j", "1"]
     result = sweep_in(file.parent, *words, code=2)
     assert "map.npz: expected an input file that does not change" in result.stderr
     assert len(log_lines(file.parent)) == 2
-
-
-append = Rows.append
 
 
 @pytest.mark.slow
@@ -478,7 +479,7 @@ def test_a_run_that_stops_is_told_by_name(file):
     assert rows[1].settings == (f"{SPEED}=6.0",)
     with Rows(file.parent, sweep.count, sweep.head) as log:
         for row in rows:
-            log.append(row)
+            log.store(row.run, Done(row))
     share = drawn_grids(log, grids(sweep, log, ["end_y"]), ["end_y"])[-1]
     assert share.name == "complete"
     np.testing.assert_array_equal(share.values, [[1.0], [0.0]])

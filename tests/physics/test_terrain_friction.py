@@ -227,12 +227,11 @@ PROBLEM = VALID.replace("[terrain", "[terrain]\nfriction = 0.6\n\n[terrain", 1)
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "p.toml").write_text(PROBLEM)
+def folder(folder):
+    (folder / "p.toml").write_text(PROBLEM)
     mu = patches()
-    np.savez(tmp_path / "mu.npz", x=mu.x, y=mu.y, z=mu.z)
-    return tmp_path
+    np.savez(folder / "mu.npz", x=mu.x, y=mu.y, z=mu.z)
+    return folder
 
 
 def _check(*settings):

@@ -30,7 +30,7 @@ from slipfree.files import netcdf
 from slipfree.show.film import film_writer, write_film
 from slipfree.show.plots import Plot
 from slipfree.show.plots import save as save_figures
-from slipfree.sweep import WORDS, Rows, RunRow, sweep_facts, sweep_of, without_motion, work
+from slipfree.sweep import WORDS, Done, Rows, RunRow, sweep_facts, sweep_of, without_motion, work
 from slipfree.system import processes
 from slipfree.system.parts import LOG
 from slipfree.system.processes import DaskPool, Processes, finish_tasks
@@ -154,17 +154,17 @@ def test_threads_that_write_one_file_leave_it_whole(motion: Trajectory, tmp_path
 def test_a_log_on_a_full_disk_tells_so_and_goes_on_later(tmp_path: Path) -> None:
     row = RunRow(1, (), "complete", "", 1.0, {"x": (1.0, "m")}, 0.1)
     with Rows(tmp_path, 2, HEAD) as rows:
-        rows.append(row)
+        rows.store(1, Done(row))
     size = (tmp_path / LOG).stat().st_size
     code = f"""
 import resource, sys
 from pathlib import Path
 from slipfree.core.errors import DataError, WriteError
-from slipfree.sweep import Rows, RunRow
+from slipfree.sweep import Done, Rows, RunRow
 resource.setrlimit(resource.RLIMIT_FSIZE, ({size + 20}, {size + 20}))
 try:
     with Rows(Path({str(tmp_path)!r}), 2, {HEAD!r}) as rows:
-        rows.append(RunRow(2, (), "complete", "", 1.0, {{}}, 0.1))
+        rows.store(2, Done(RunRow(2, (), "complete", "", 1.0, {{}}, 0.1)))
 except WriteError as error:
     sys.exit(f"refused: {{error}}")
 """
@@ -427,8 +427,8 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
     sweep = sweep_of(file, ["time.step=0.1,0.05"])
     failed = done.row._replace(run=2, outcome="failed", words="by chance")
     with Rows(file.parent / "out", sweep.count, sweep.head) as rows:
-        rows.append(done.row)
-        rows.append(failed)
+        rows.store(1, done)
+        rows.store(2, Done(failed))
         told = dict(sweep_facts(sweep, rows, {}, ()))
     assert told["  run 1 lost"] == "OSError: [Errno 28] No space left on device (time.step=0.1)"
     assert told["  run 2 failed"] == "by chance (time.step=0.1)"

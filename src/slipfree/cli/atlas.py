@@ -116,7 +116,7 @@ def atlas(
     named = file.stem if vehicle is None else f"{file.stem}_{Path(vehicle).stem}_atlas"
     outs = out or [Path(f"{named}.tif")]
     states = verb.input_states(problem)
-    figures = outs[0].with_name(f"{outs[0].stem}_figures")
+    figures = outs[0].parent / f"{outs[0].stem}_figures"
     inputs = files_read(problem)
     outputs.check_outputs(outs, inputs, endings=ENDINGS, folder=figures if draw else None)
     with as_arguments():

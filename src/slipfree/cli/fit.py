@@ -94,10 +94,10 @@ def _write_fit(
     from slipfree.files.tables import write_records
 
     table = out or default_table(file, "fit", work.inputs)
-    kept = table.with_suffix(".nc")
+    kept = table.parent / f"{table.stem}.nc"
     table = table.with_suffix(".csv") if table == kept else table
-    tables = [table, *(table.with_name(f"{table.stem}_{end}.csv") for end in work.ends)]
-    picture = table.with_suffix(".png") if draw else None
+    tables = [table, *(table.parent / f"{table.stem}_{end}.csv" for end in work.ends)]
+    picture = table.parent / f"{table.stem}.png" if draw else None
     check_outputs([*tables, picture, write, kept], work.inputs)
     with held_interrupt(from_first_poll=True):
         result = work.solve()
@@ -295,7 +295,7 @@ def wheel(
 
         test = run_wheel_file(file, settings or [])
         table = out or default_table(file, "wheel", test.file.files)
-        picture = table.with_suffix(".png") if draw else None
+        picture = table.parent / f"{table.stem}.png" if draw else None
         check_outputs([table, picture], test.file.files)
         files = [save(table, partial(write_records, records=wheel_rows(test.curves)))]
         console.print_facts(wheel_facts(test))

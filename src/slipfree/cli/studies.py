@@ -373,7 +373,7 @@ def sweep(
     console.print_line(f"wrote {folder / TABLE}")
     # finished runs without a result file, such as those run without --keep
     moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST})) if keep else []
-    if missing := [run for run in moved if not rows.result_path(run).exists()]:
+    if missing := [run for run in moved if not rows.file(run).exists()]:
         runs, have = ("run", "has") if len(missing) == 1 else ("runs", "have")
         console.warn(
             f"--keep: {len(missing)} finished {runs} {have} no result file; sweep into another "

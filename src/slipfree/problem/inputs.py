@@ -7,8 +7,7 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from hashlib import file_digest, sha256
-from io import BytesIO
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -19,11 +18,10 @@ from slipfree.problem.build_ground import convert_places
 from slipfree.problem.problem import Problem, shared, validated_problem
 from slipfree.problem.schema import CommonKeys
 from slipfree.system.parts import Identity, Parts
-from slipfree.system.regular_files import read_bytes, regular_file
+from slipfree.system.regular_files import digest, read_bytes
 
 D = TypeVar("D")
 TABLES = ("terrain", "vehicle", "driver", "path", "inputs", "given", "data")  # with input files
-MISSING = "missing"
 DIGESTS = "input_sha256"  # attribute of a result: digests of the input files by name, as JSON
 SIDES = (".prj", ".aux.xml", ".hdr", ".tfw", ".wld", ".ovr", ".msk")  # endings beside maps
 URDF = (".urdf", ".xacro", ".xml")
@@ -78,16 +76,6 @@ def files_named_in(urdf: Path) -> list[Path]:
     return files
 
 
-def digest(file: Path) -> str:
-    """Return the SHA-256 of a file; ``"missing"`` if it cannot be read."""
-    try:
-        # the file may exceed the memory; some files of /proc are endless, with a size of 0
-        with regular_file(file, "an input file") as size, file.open("rb") as stream:
-            return file_digest(stream if size else BytesIO(), "sha256").hexdigest()
-    except DataError:
-        return MISSING
-
-
 class FileStates(NamedTuple):
     """Files of a computation in parts, as they were when it started."""
 
@@ -134,7 +122,7 @@ class ProblemParts(Parts[D]):
         own = {"problem": task, "files": self.states.digests, **more}
         head = json.loads(json.dumps({"slipfree": __version__, **own}))  # lists for tuples
         name = f"{out.stem}_parts_{sha256(json.dumps(head).encode()).hexdigest()[:8]}"
-        super().__init__(out.with_name(name), Identity(kind, size, head), ending, self.states.check)
+        super().__init__(out.parent / name, Identity(kind, size, head), ending, self.states.check)
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:

@@ -27,7 +27,6 @@ from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.samples import closest_fact
 from slipfree.problem import build_vehicle
-from slipfree.problem.inputs import digest
 from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import STORED, build, motion_facts, open_result
@@ -41,6 +40,7 @@ from slipfree.show.plots import Plot
 from slipfree.show.scene import Driven, drive_scene
 from slipfree.solve.settle import settle
 from slipfree.solve.system import with_inputs
+from slipfree.system.regular_files import digest
 from slipfree.terrain.analytic import Analytic
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic

@@ -376,20 +376,20 @@ class Rows(Parts[Done]):
         """Units of all metrics by name, in the order of the first run that has them."""
         return {name: unit for row in self for name, (_, unit) in row.figures.items()}
 
-    def result_path(self, run: int) -> Path:
+    def file(self, number: int) -> Path:
         """Return the path of the result file of a run."""
-        return self.folder / f"run_{run:0{max(4, len(str(self.size)))}d}.nc"
+        return self.folder / f"run_{number:0{max(4, len(str(self.size)))}d}.nc"
+
+    def is_whole(self, number: int, written: str | None) -> bool:
+        """Return whether the result file of a run, unless it was removed, is as it was written."""
+        return not self.file(number).exists() or super().is_whole(number, written)
 
     def store(self, number: int, result: Done) -> None:
         """Write the motion of a run, if it is kept, and its row; errors are those of `Parts`."""
-        if result.trajectory is not None:
-            write(self.result_path(number), result.trajectory, result.arrays)
-        self.append(result.row)
-
-    def append(self, row: RunRow) -> None:
-        """Write a row and synchronise it to disk."""
+        row, run, arrays = result
         record = row._asdict()
-        self.add(record.pop("run"), record)
+        del record["run"]
+        self.add(number, record, None if run is None else lambda part: write(part, run, arrays))
         self._count(row)
         self.last = row
 

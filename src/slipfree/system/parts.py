@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
-from hashlib import file_digest, sha256
+from hashlib import sha256
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Generic, NamedTuple, Self, TypeVar
@@ -20,7 +20,7 @@ from typing import IO, Any, Generic, NamedTuple, Self, TypeVar
 from slipfree.core.errors import DataError, WriteError, shortened
 from slipfree.system.interrupt import interrupt_requested
 from slipfree.system.processes import Poll, Pool, finish_tasks, local_tasks
-from slipfree.system.regular_files import TEMPORARY, check_name, replace_file
+from slipfree.system.regular_files import TEMPORARY, check_name, digest, replace_file
 
 try:
     import fcntl
@@ -28,7 +28,7 @@ except ImportError:  # Windows has no such lock: the user must avoid two computa
     fcntl = None  # type: ignore[assignment]
 
 LOG = "parts.jsonl"
-PART, KEY, DIGEST = "part", "key", "sha256"  # keys of the line of a part
+PART, KEY, FILE, DIGEST = "part", "key", "file", "sha256"  # keys of the line of a part
 ANOTHER_FOLDER = "choose another folder with -o"
 T = TypeVar("T")
 D = TypeVar("D")
@@ -140,11 +140,15 @@ class Parts(Generic[D]):
     def record(self, number: int) -> dict[str, Any]:
         """Return the record of a finished part, as given to `add`."""
         line = self._line(number)
-        return {key: value for key, value in line.items() if key not in (PART, KEY, DIGEST)}
+        return {key: value for key, value in line.items() if key not in (PART, KEY, FILE, DIGEST)}
 
     def file(self, number: int) -> Path:
         """Return the path of the file of a part."""
         return self.folder / f"part_{number:06}{self._ending}"
+
+    def is_whole(self, number: int, written: str | None) -> bool:
+        """Return whether the file of a part has the digest with which it was written, if any."""
+        return written is None or written == digest(self.file(number))
 
     def add(
         self,
@@ -158,8 +162,9 @@ class Parts(Generic[D]):
             replace_file(self.file(number), fill)
         elif self._ending:
             self.file(number).unlink(missing_ok=True)
-        line = {PART: number, KEY: self._keys.get(number, ""), **record}
-        self._offsets[number] = self._write(line | {DIGEST: self._digest(line)})
+        found = None if fill is None else digest(self.file(number))
+        line = {PART: number, KEY: self._keys.get(number, ""), FILE: found, **record}
+        self._offsets[number] = self._write(line | {DIGEST: _digest(line)})
 
     def expect(self, number: int, key: str) -> None:
         """Set the key of the task of a part; a finished part with another key is then missing."""
@@ -226,20 +231,13 @@ class Parts(Generic[D]):
             elif (
                 isinstance(number, int)
                 and 1 <= number <= self.size
-                # line and file of the part are as they were written
-                and record.pop(DIGEST, None) == self._digest(record)
+                and record.pop(DIGEST, None) == _digest(record)
+                and self.is_whole(number, record.get(FILE))
             ):
                 self._offsets[number] = offset
             offset += len(line)
         if not offset:
             self._write(self._identity.head)
-
-    def _digest(self, line: Mapping[str, Any]) -> str:
-        digest = sha256(json.dumps(line, sort_keys=True).encode())
-        if self._ending and (file := self.file(line[PART])).is_file():  # a device may be endless
-            with suppress(OSError), file.open("rb") as stream:
-                digest.update(file_digest(stream, "sha256").digest())
-        return digest.hexdigest()
 
     def _check(self, found: Mapping[str, Any]) -> None:
         """Raise DataError unless a log describes the same computation."""
@@ -373,6 +371,10 @@ def until_interrupt(results: Iterable[D]) -> list[D]:
         if not (finished and interrupt_requested()):
             raise
     return finished
+
+
+def _digest(line: Mapping[str, Any]) -> str:
+    return sha256(json.dumps(line, sort_keys=True).encode()).hexdigest()
 
 
 def _numbered(function: Callable[[T], D], numbered: tuple[int, T]) -> tuple[int, D]:

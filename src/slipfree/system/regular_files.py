@@ -9,6 +9,8 @@ import secrets
 import stat
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
+from hashlib import file_digest
+from io import BytesIO
 from pathlib import Path
 
 from slipfree.core.errors import DataError, WriteError
@@ -56,6 +58,16 @@ def read_bytes(path: Path, expected: str) -> bytes:
     """Return the contents of a regular file; parameters and errors are those of `regular_file`."""
     with regular_file(path, expected) as size, path.open("rb") as stream:
         return stream.read(size)  # not read(): some files of /proc are endless, with a size of 0
+
+
+def digest(file: Path) -> str:
+    """Return the SHA-256 of a file; ``"missing"`` if it cannot be read."""
+    try:
+        # the file may exceed the memory; some files of /proc are endless, with a size of 0
+        with regular_file(file, "a file") as size, file.open("rb") as stream:
+            return file_digest(stream if size else BytesIO(), "sha256").hexdigest()
+    except DataError:
+        return "missing"
 
 
 def check_name(path: Path) -> None:
