@@ -28,9 +28,15 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn, TextIO, 
 
 import typer
 
-from slipfree.core.errors import DataError, ModelError, SlipfreeError, WriteError, shortened
+from slipfree.core.errors import (
+    DataError,
+    ModelError,
+    SlipfreeError,
+    WriteError,
+    descriptions,
+    shortened,
+)
 from slipfree.core.facts import in_short
-from slipfree.core.schema import descriptions
 from slipfree.core.version import __version__
 from slipfree.system import interrupt
 from slipfree.system.regular_files import regular_file

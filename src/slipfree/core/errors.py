@@ -1,9 +1,14 @@
-"""Exceptions raised by the package, texts of messages, and tables of data beside modules."""
+"""Exceptions raised by the package, texts of messages and docstrings, and tables beside modules.
+
+The command line imports this module at its start: it has no other imports of the package.
+"""
 
 from __future__ import annotations
 
+import inspect
+import re
 import tomllib
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
@@ -86,3 +91,14 @@ def require(package: str, extra: str = "xarray", place: str = "") -> Any:
 def read_table(module: str, name: str) -> dict[str, Any]:
     """Return the data in a TOML file beside a module, given as its ``__file__``."""
     return tomllib.loads(Path(module).with_name(name).read_text("utf-8"))
+
+
+def descriptions(kind: Callable[..., Any]) -> dict[str, str]:
+    """Return the descriptions of parameters or attributes in a numpydoc docstring, by name."""
+    text, found = inspect.cleandoc(kind.__doc__ or ""), dict[str, str]()
+    section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(\n\n\w+\n--|\Z)", text, re.S | re.M)
+    for entry in re.split(r"\n(?=\w)", section[1]) if section else ():
+        names, _, words = entry.partition(" : ")
+        words = " ".join(words.partition("\n")[2].split())
+        found |= dict.fromkeys(names.split(", "), words)
+    return found

@@ -2,9 +2,7 @@
 
 A key is a field of a dataclass or a parameter of a function with such an annotation. Its meaning is
 that in the docstring, unless an annotation has another one. Checks of bounds, tables of TOML files,
-their reference pages and completion are made from `keys_of`, the help of commands from
-`descriptions`. The command line imports this module at its start: it has no other imports of the
-package.
+their reference pages and completion are made from `keys_of`.
 """
 
 from __future__ import annotations
@@ -17,6 +15,8 @@ from math import inf
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from annotated_types import DocInfo, Ge, Gt, Le, Lt, Unit
+
+from slipfree.core.errors import descriptions
 
 Finite = Annotated[float, Gt(-inf), Lt(inf)]
 Positive = Annotated[float, Gt(0), Lt(inf)]
@@ -72,17 +72,6 @@ def keys_of(kind: Callable[..., Any]) -> tuple[Key, ...]:
         meaning = next((note.documentation for note in notes if isinstance(note, DocInfo)), first)
         keys.append(Key(name, hints[name], default, unit, meaning))
     return tuple(keys)
-
-
-def descriptions(kind: Callable[..., Any]) -> dict[str, str]:
-    """Return the descriptions of parameters or attributes in a numpydoc docstring, by name."""
-    text, found = inspect.cleandoc(kind.__doc__ or ""), dict[str, str]()
-    section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(\n\n\w+\n--|\Z)", text, re.S | re.M)
-    for entry in re.split(r"\n(?=\w)", section[1]) if section else ():
-        names, _, words = entry.partition(" : ")
-        words = " ".join(words.partition("\n")[2].split())
-        found |= dict.fromkeys(names.split(", "), words)
-    return found
 
 
 def meanings(kind: Callable[..., Any]) -> dict[str, str]:
