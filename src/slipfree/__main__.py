@@ -43,6 +43,7 @@ def main() -> None:
             _run()
         finally:
             interrupt_arrived()
+            gc.freeze()  # at exit the system frees all memory, in a tenth of the time
             for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # no traceback from a signal at exit
                 if hasattr(signal, name):
                     signal.signal(getattr(signal, name), signal.SIG_IGN)

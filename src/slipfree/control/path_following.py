@@ -520,8 +520,6 @@ def check_way_points(t: Array, x: Array, y: Array, heading: Array) -> tuple[Arra
 
 def _splines(t: Array, values: Array, time: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return interpolating splines of columns of values, and their time derivatives."""
-    from scipy.interpolate import make_interp_spline  # imported here: the import takes 0.2 s
-
-    spline, inside = make_interp_spline(t, values, k=DEGREE), ca.fmin(ca.fmax(time, t[0]), t[-1])
-    place = spline_function("path", spline)(inside)
-    return place, spline_function("path_velocity", spline.derivative())(inside)
+    inside = ca.fmin(ca.fmax(time, t[0]), t[-1])
+    rate = spline_function("path_velocity", t, values, DEGREE, order=1)
+    return spline_function("path", t, values, DEGREE)(inside), rate(inside)

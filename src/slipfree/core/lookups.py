@@ -232,14 +232,9 @@ def evaluate(function: ca.Function, *columns: Array) -> tuple[Array, ...]:
 def evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
     """Evaluate an SX function by applying its operations to columns of numbers, one per point.
 
-    Entries of arguments and structurally nonzero entries of results are MX columns or scalars.
+    It must not call other functions. Entries of arguments and structurally nonzero entries of
+    results are MX columns or scalars.
     """
-    if function.find_functions():
-        name = function.find_functions()[0].name()
-        raise ModelError(
-            "plan: expected ground lookups whose arguments are SX expressions without function "
-            f"calls, found a call of {name!r}; write this function as an SX expression"
-        )
     work: dict[int, ca.MX] = {}
     results = [[ca.MX(0)] * function.nnz_out(k) for k in range(function.n_out())]
     for operation, source, target, constant in zip(*_instructions_of(function), strict=True):
@@ -292,6 +287,8 @@ def evaluate_lanes(function: ca.Function, *columns: Array) -> Array:
     Operations are applied to `WIDTH` points at once, which takes a fifth of the time, after the
     first call, which is as slow as the evaluation of thousands of points.
     """
+    if function.find_functions():
+        return evaluate(function, *columns)[0]
     together, count = _lanes_of(function), columns[0].shape[1]
     found = np.empty((function.nnz_out(0), count))
     for begin in range(0, count, WIDTH):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -10,11 +11,12 @@ import numpy as np
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
+from slipfree.core.lookups import evaluate
 from slipfree.core.records import Array
 from slipfree.system.forks import cached_property
 
 MAX_COORDINATE = 1e12  # larger way-points are input errors [m]
-NODES = 64  # nodes of the arc-length table per way-point
+NODES = 64  # nodes of the table per way-point
 
 
 class PathPoint(NamedTuple):
@@ -134,22 +136,15 @@ class Path:
     def _table(self) -> tuple[Array, Array]:
         """Arc lengths, shape (n,), and x, y, heading and curvature there, shape (4, n).
 
-        Arc lengths are equally spaced; x and y are relative to the first way-point.
+        x and y are relative to the first way-point.
         """
-        from scipy.interpolate import CubicSpline  # imported here, since the import takes 0.2 s
-
-        chord = np.concatenate(
-            [[0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))]
-        )
-        local = self.points - self.points[0]
-        spline = CubicSpline(chord, local, bc_type="not-a-knot" if len(chord) > 3 else "natural")
+        chord = arc_lengths(self.points)
+        spline = partial(cubic_spline, chord, self.points - self.points[0])
         fine = np.linspace(0, chord[-1], NODES * len(chord) * 4 + 1)
         speed = np.linalg.norm(spline(fine, 1), axis=1)
         middle = np.linalg.norm(spline((fine[1:] + fine[:-1]) / 2, 1), axis=1)
         steps = np.diff(fine) * (speed[1:] + speed[:-1] + 4 * middle) / 6  # Simpson
-        length = np.concatenate([[0], np.cumsum(steps)])
-        s = np.linspace(0, length[-1], NODES * len(chord) + 1)
-        u = CubicSpline(length, fine)(s)
+        s, u = np.append(0, np.cumsum(steps))[::4], fine[::4]
         (x, y), (x_u, y_u), (x_uu, y_uu) = (spline(u, k).T for k in range(3))
         heading = np.unwrap(np.arctan2(-x_u, y_u))
         curvature = (x_u * y_uu - y_u * x_uu) / np.hypot(x_u, y_u) ** 3
@@ -158,17 +153,44 @@ class Path:
     @cached_property
     def _spline(self) -> ca.Function:
         s, rows = self._table
-        table = ca.interpolant("path", "bspline", [s.tolist()], rows.ravel(order="F"))
-        at = ca.MX.sym("s")
-        return ca.Function("path", [at], [table(at)], {"never_inline": True})
+        return spline_function("path", s, rows.T)
 
 
-def spline_function(name: str, spline: Any) -> ca.Function:
-    """Return a SciPy B-spline with vector values as a function of its argument.
+def arc_lengths(points: Array) -> Array:
+    """Return the length of a polyline (n, 2) up to each of its points, shape (n,) [m]."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
-    It is not inlined, since SX graphs cannot contain it.
+
+def cubic_spline(at: Array, values: Array, places: Array, order: int = 0) -> Array:
+    """Return the cubic spline through values (n, m), or a derivative of it, at places (k,).
+
+    The shape is (k, m). The spline is that of `spline_function`; through two or three values, its
+    second derivatives are zero at the ends.
     """
-    at, count = ca.MX.sym("t"), spline.t.size - spline.k - 1  # further coefficients are padding
-    weights = spline.c[:count].ravel().tolist()
-    value = ca.Function.bspline(name, [spline.t.tolist()], weights, [spline.k], spline.c.shape[1])
-    return ca.Function(f"{name}_at", [at], [value(at)], {"never_inline": True})
+    if at.size == 2:
+        at, values = np.linspace(*at, 4), np.linspace(*values, 4)
+    if at.size == 3:  # with its values at the middles, it is also the spline through five values
+        h = np.diff(at)[:, None]
+        bend = 3 * np.diff(np.diff(values, axis=0) / h, axis=0) / h.sum()
+        middle = (values[1:] + values[:-1]) / 2 - bend * h**2 / 16
+        values = np.insert(values, [1, 2], middle, axis=0)
+        at = np.insert(at, [1, 2], (at[1:] + at[:-1]) / 2)
+    inside = np.clip(places, at[0], at[-1])[None]  # CasADi's splines are zero outside
+    return evaluate(spline_function("spline", at, values, order=order), inside)[0].T
+
+
+def spline_function(
+    name: str, at: Array, values: Array, degree: int = 3, *, order: int = 0
+) -> ca.Function:
+    """Return the spline of odd degree through values (n, m), or a derivative of it, as a function.
+
+    There are more places ``at`` than the degree, increasing; the spline is a single polynomial on
+    the first and on the last (degree + 1) / 2 intervals. It is zero outside. The function is not
+    inlined, since SX graphs cannot contain it.
+    """
+    place, options = ca.MX.sym("place"), {"degree": [degree]}
+    table = ca.interpolant(name, "bspline", [at.tolist()], values.ravel().tolist(), options)
+    result = table(place)
+    for _ in range(order):
+        result = ca.jacobian(result, place)
+    return ca.Function(name, [place], [result], {"never_inline": True})

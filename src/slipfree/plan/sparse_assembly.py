@@ -30,6 +30,7 @@ from slipfree.core.records import Array
 from slipfree.system.codegen_cache import compiled_functions
 
 Index = npt.NDArray[np.intp]
+FEW_POINTS = 40  # with fewer points, columns do not pay within the iterations of a search
 DERIVATIVE_ORDER = 4  # of the ground height: two in the model, two more in the Hessian
 BlockFunctions = tuple[ca.Function, ca.Function, ca.Function, ca.Function]
 # results of the functions of a block, by rows and columns: unknowns "v", rows "g", or one
@@ -152,13 +153,13 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
             own = [_gather(v, each.variable_indices), ca.MX(ca.DM(each.constants)), p.T]
             lookups = ca.MX(count, 0)
             for argument, lookup in each.lookups:
-                by_columns = evaluate_by_columns(argument, [*map(split_columns, [*own, lookups])])
-                asked = ca.reshape(repeat_constants(by_columns, count)[0], count, -1)
-                lookups = ca.horzcat(lookups, lookup.map(count)(asked.T).T)
+                asked = _evaluate_everywhere(argument, [*own, lookups], count)[0]
+                found = lookup.map(count)(ca.reshape(asked, count, -1).T)
+                lookups = ca.horzcat(lookups, found.T)
             own.append(lookups)
             if of_hessian:
                 own += [of_hessian[0], _gather(of_hessian[1], each.row_indices)]
-            values = _evaluate_everywhere(function, each, own)
+            values = _evaluate_everywhere(function, own, count)
             none = np.zeros((count, 1), dtype=np.intp)
             at = {"": none, "v": each.variable_indices, "g": each.row_indices}
             for k, axes in enumerate(RESULTS[name]):
@@ -183,9 +184,10 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
     sizes = {"": np.ones(1), "v": scale, "g": np.ones(n_g)}
     of = [w, p, sigma, multipliers]
     gradient, jacobian = together("gradient"), together("jacobian")
-    # Compiled functions compute all of their results; of others, rows take only their operations.
-    compiled = any(not each.jacobian.is_a("SXFunction") for each in blocks)
-    (g,) = together("rows") if compiled else jacobian[:1]
+    # A function that is called computes all of its results; of others, rows take only their
+    # operations. The first block is the largest.
+    is_called = _is_called(blocks[0].jacobian, len(blocks[0].constants))
+    (g,) = together("rows") if is_called else jacobian[:1]
     return ProgramFunctions(
         w,
         p,
@@ -201,11 +203,18 @@ def _gather(values: ca.MX, where: Index) -> ca.MX:
     return ca.reshape(values[where.T.ravel().tolist()], *where.shape)
 
 
-def _evaluate_everywhere(f: ca.Function, each: NlpBlock, arguments: Sequence[ca.MX]) -> list[ca.MX]:
+def _is_called(f: ca.Function, count: int) -> bool:
+    """Return whether a function is called point by point, not applied to columns of points.
+
+    The interpreter takes 32 instead of 14 ms for a Hessian at 36 points, but needs no columns,
+    whose construction takes as long as 87 such Hessians; at 120 points as long as 16.
+    """
+    return 1 < count < FEW_POINTS or not f.is_a("SXFunction") or bool(f.find_functions())
+
+
+def _evaluate_everywhere(f: ca.Function, arguments: Sequence[ca.MX], count: int) -> list[ca.MX]:
     """Return each result of a block's function as a column, the first entry at all points first."""
-    count = len(each.variable_indices)
-    if f.is_a("SXFunction") and not f.find_functions():
-        # Ten times as fast as calling CasADi's interpreter point by point.
+    if not _is_called(f, count):
         return repeat_constants(evaluate_by_columns(f, [*map(split_columns, arguments)]), count)
     same = [k for k, rows in enumerate(arguments) if rows.shape[0] == 1 < count]
     results = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])

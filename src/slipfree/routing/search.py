@@ -22,7 +22,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask, with_overview
 from slipfree.core.schema import Count, NonNegative
-from slipfree.geometry.path import Path
+from slipfree.geometry.path import Path, arc_lengths, cubic_spline
 from slipfree.geometry.regions import Region
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.routing.traversability import (
@@ -87,7 +87,7 @@ def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array
     equally spaced points whose spline avoids them.
     """
     layers = along(layers, rough)
-    step = max(0.25 * layers.limits.half, polyline_length(rough) / MAX_POINTS)
+    step = max(0.25 * layers.limits.half, arc_lengths(rough)[-1] / MAX_POINTS)
     half = max(layers.limits.half, step)
     field = _field(layers, rough, turning_radius)
     sharpest = 1 / turning_radius if turning_radius else math.inf
@@ -95,7 +95,7 @@ def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array
     points, best, least = resample_polyline(rough, step), None, math.inf
     for weight in PENALTIES:
         clear = CLEARANCE * max(layers.spacing)
-        aim = _Objective(half, clear, sharpest, weight, polyline_length(points) / (len(points) - 1))
+        aim = _Objective(half, clear, sharpest, weight, arc_lengths(points)[-1] / (len(points) - 1))
         points = resample_polyline(_minimise(field, points, aim), step, spline=True)
         candidate = resample_polyline(points, half, spline=True)
         is_free, curvature = _check_path(layers, candidate)
@@ -136,7 +136,7 @@ def along(layers: Traversability, rough: Array) -> Traversability:
 
 def path_cost(layers: Traversability, points: Array) -> float:
     """Return the integral of the cost along a polyline, in its direction, shape (n, 2) [m]."""
-    ends = np.append(0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    ends = arc_lengths(points)
     crossings = list[Array]()  # of borders between the nearest nodes, where the cost jumps
     for axis, column in zip((layers.x, layers.y), points.T, strict=True):
         at = (column - axis[0]) / axis_step(axis) + 0.5  # borders have whole numbers
@@ -297,24 +297,15 @@ def _bilinear(values: Array, field: _CostField, points: Array) -> tuple[Array, A
 # Lines
 
 
-def polyline_length(points: Array) -> float:
-    """Return the length of a polyline [m]."""
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-
-
 def resample_polyline(points: Array, step: float, *, spline: bool = False) -> Array:
     """Return equally spaced points along a polyline or the spline through its points.
 
     They have the same ends and are about ``step`` apart.
     """
-    gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    at = np.concatenate([[0], np.cumsum(gaps)])
-    count = max(round(float(at[-1]) / step), 1)
-    s = np.linspace(0, at[-1], count + 1)
+    at = arc_lengths(points)
+    s = np.linspace(0, at[-1], max(round(float(at[-1]) / step), 1) + 1)
     if spline:
-        from scipy.interpolate import CubicSpline  # imported here: the import takes 0.2 s
-
-        even = np.asarray(CubicSpline(at, points - points[0])(s) + points[0])
+        even = cubic_spline(at, points - points[0], s) + points[0]
     else:
         even = np.stack([np.interp(s, at, column) for column in points.T], axis=1)
     even[0], even[-1] = points[0], points[-1]
@@ -506,7 +497,7 @@ def routes(
         kind = homotopy_class(points, obstacles)
         if kind not in by_class:
             cost = path_cost(layers, points)
-            by_class[kind] = Route(points, cost, polyline_length(points))
+            by_class[kind] = Route(points, cost, float(arc_lengths(points)[-1]))
         further = crossed_rays(layers, rough, obstacles)
         pending += [(detour, (*closed, ray)) for detour, ray in further]
         pending.sort(key=itemgetter(0))

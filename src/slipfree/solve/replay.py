@@ -188,18 +188,15 @@ def spline_inputs(
     Inputs are constant before the first sample, and after the last or the time ``end``, up to which
     the splines are extrapolated [s].
     """
-    from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
-
     names = [label.full for label in leaves(dae.labels.u)]
     samples = np.column_stack([values[name] for name in names])
-    degree = min(SPLINE_DEGREE, t.size - 1)
-    if not degree:
+    if t.size == 1:
         return unpack(dae.u, samples[0].tolist())
-    if degree % 2 == 0:
-        degree -= 1
-    spline = make_interp_spline(t, samples, k=degree)
+    degree = min(SPLINE_DEGREE, t.size - 1 - t.size % 2)  # it is odd
     if end is not None and end > t[-1]:
-        t = np.append(t, end)
-        spline = make_interp_spline(t, spline(t), k=degree)
+        from scipy.interpolate import make_interp_spline  # imported here: the import takes 0.2 s
+
+        spline, t = make_interp_spline(t, samples, k=degree), np.append(t, end)
+        samples = spline(t)
     inside = ca.fmin(ca.fmax(dae.t, t[0]), t[-1])
-    return unpack(dae.u, ca.vertsplit(spline_function("law", spline)(inside)))
+    return unpack(dae.u, ca.vertsplit(spline_function("law", t, samples, degree)(inside)))
