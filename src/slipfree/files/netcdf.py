@@ -19,11 +19,11 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 from weakref import finalize
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 import scipy
@@ -212,7 +212,7 @@ def write(
                 "history": f"{now} computed by slipfree {__version__}",
                 ORIGIN: __version__,
                 "python_version": platform.python_version(),
-                **{f"{name}_version": version(name) for name in ("casadi", "numpy", "scipy")},
+                **{f"{each.__name__}_version": each.__version__ for each in (ca, np, scipy)},
                 ORDER: " ".join(run.columns),
                 **({FRAME: "paper"} if "heading" in run.columns else {}),
             }
