@@ -168,7 +168,7 @@ def cubic_spline(at: Array, values: Array, places: Array, order: int = 0) -> Arr
     second derivatives are zero at the ends.
     """
     if at.size == 2:
-        at, values = np.linspace(*at, 4), np.linspace(*values, 4)
+        at, values = np.linspace(at[0], at[1], 4), np.linspace(values[0], values[1], 4)
     if at.size == 3:  # with its values at the middles, it is also the spline through five values
         h = np.diff(at)[:, None]
         bend = 3 * np.diff(np.diff(values, axis=0) / h, axis=0) / h.sum()

@@ -304,6 +304,7 @@ def resample_polyline(points: Array, step: float, *, spline: bool = False) -> Ar
     """
     at = arc_lengths(points)
     s = np.linspace(0, at[-1], max(round(float(at[-1]) / step), 1) + 1)
+    even: Array
     if spline:
         even = cubic_spline(at, points - points[0], s) + points[0]
     else:
