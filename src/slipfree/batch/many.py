@@ -24,7 +24,7 @@ from slipfree.batch.motion import (
     smallest,
     solve_forces,
 )
-from slipfree.core.arguments import BY_NAME, checked
+from slipfree.core.arguments import BY_NAME, check_finite, checked
 from slipfree.core.dae import Dae, WheelCheck, invalid_start
 from slipfree.core.errors import ModelError, require
 from slipfree.core.lookups import evaluate as evaluate_at
@@ -386,11 +386,7 @@ def start_states(graphs: Graphs, start: Mapping[str, Array]) -> Array:
     states = np.zeros((rows.t.stop, max(sizes, default=1)))
     for k, label in enumerate(leaves(dae.labels.x)):
         values = np.asarray(start.get(label.full, 0.0), dtype=float)
-        if not np.isfinite(values).all():
-            raise ModelError(
-                f"start: expected finite numbers for {label.full!r}, found "
-                f"{values[~np.isfinite(values)][0]}; correct them"
-            )
+        check_finite(f"start[{label.full!r}]", values)
         states[k] = values - dae.shift[0][k]
     states[rows.c] = np.reshape([parameter.value for parameter in dae.p], (-1, 1))
     states[rows.stage] = np.reshape(graphs.stages[-1:], (-1, 1))

@@ -83,6 +83,13 @@ def degrees_question(value: float, spelling: str) -> str:
     return f"did you mean {value:.6g} degrees? write {spelling}"
 
 
+def check_finite(argument: str, values: np.ndarray[Any, Any]) -> None:
+    """Raise ModelError unless all values are finite numbers, with the first that is not."""
+    if not np.isfinite(values).all():
+        wrong = values[~np.isfinite(values)][0]
+        raise ModelError(f"{argument}: expected finite numbers, found {wrong}; correct them")
+
+
 def checked(target: F) -> F:
     """Return a function or a dataclass that checks its arguments by their annotations.
 

@@ -14,7 +14,7 @@ import numpy as np
 from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.graph import graphs_of
 from slipfree.batch.many import LaneResults, lanes_at_once, run_lanes, start_states, states_of
-from slipfree.core.arguments import BY_NAME, check_angles, checked
+from slipfree.core.arguments import BY_NAME, check_angles, check_finite, checked
 from slipfree.core.dae import Dae, InputValue, PiecewiseLinear
 from slipfree.core.errors import ModelError, SlipfreeError, require
 from slipfree.core.records import Array, leaves
@@ -311,11 +311,7 @@ def _run_batch(common: _Common, numbers: Array) -> _Results:
                     f"inputs[{label.full!r}]: expected numbers for the method 'batch', found "
                     f"{type(values).__name__}; give arrays, or use method='simulate'"
                 )
-            if not np.isfinite(values).all():
-                raise ModelError(
-                    f"inputs[{label.full!r}]: expected finite numbers, found "
-                    f"{values[~np.isfinite(values)][0]}; correct them"
-                )
+            check_finite(f"inputs[{label.full!r}]", values)
             if values.ndim == 2:
                 values = (values if len(values) == 1 else values[chosen]).T
             row[:] = values.reshape(-1, 1) if values.ndim < 2 else values

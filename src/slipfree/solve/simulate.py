@@ -20,7 +20,7 @@ from slipfree.batch.motion import ORDER, RELAXING_ORDER, integrate_lanes
 from slipfree.core.arguments import checked
 from slipfree.core.dae import LIMIT_ROUNDING, Dae, PiecewiseLinear, invalid_start
 from slipfree.core.errors import ModelError
-from slipfree.core.lookups import evaluate, found_column, run_buffered
+from slipfree.core.lookups import evaluate, run_buffered
 from slipfree.core.records import Array, Mask, Record, leaves, unpack, with_overview
 from slipfree.core.trajectory import (
     Column,
@@ -56,6 +56,7 @@ from slipfree.solve.system import (
     System,
     UnsolvedError,
     check_law,
+    check_symbols,
     solve_initial_conditions,
     with_inputs,
 )
@@ -340,12 +341,7 @@ def watch_events(dae: Dae, events: Sequence[Event]) -> tuple[WatchedEvent, ...]:
                 "in the symbols of the model"
             )
         (expression,) = dae.without_continuation([expression])
-        known = [*symbols, found_column(dae.lookups)]
-        if free := ca.Function("event", known, [expression], {"allow_free": True}).free_sx():
-            raise ModelError(
-                f"event {name!r}: expected symbols of the model, found {free[0]}; use "
-                "the symbols of its Dae"
-            )
+        check_symbols(f"event {name!r}", dae, expression, symbols)
         watched.append(
             WatchedEvent(event, dae.function("event", symbols, [ca.densify(expression)]))
         )

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Le, Unit, doc
 
-from slipfree.core.arguments import checked
+from slipfree.core.arguments import check_finite, checked
 from slipfree.core.dae import Dae, PiecewiseLinear
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import Fact
@@ -536,15 +536,17 @@ def check_law(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
             f"input {label.full}: expected an expression of time, states and unknowns, found one "
             "that contains inputs; remove or substitute them"
         )
-    free = ca.Function(
-        "law", [dae.t, x, z, found_column(dae.lookups)], [law], {"allow_free": True}
-    ).free_sx()
-    if free:
-        raise ModelError(
-            f"input {label.full}: expected symbols of the model, found {free[0]}; use the "
-            "symbols of its Dae"
-        )
+    check_symbols(f"input {label.full}", dae, law, (dae.t, x, z))
     return law
+
+
+def check_symbols(name: str, dae: Dae, expression: ca.SX, symbols: Sequence[ca.SX]) -> None:
+    """Raise ModelError for an expression with other symbols; ``name`` is its name."""
+    known = [*symbols, found_column(dae.lookups)]
+    if free := ca.Function("known", known, [expression], {"allow_free": True}).free_sx():
+        raise ModelError(
+            f"{name}: expected symbols of the model, found {free[0]}; use the symbols of its Dae"
+        )
 
 
 def _check_numbers(label: Label, value: Any, intervals: int) -> Array:
@@ -560,10 +562,7 @@ def _check_numbers(label: Label, value: Any, intervals: int) -> Array:
             f"input {label.full}: expected a number, an expression or one value for each of the "
             f"{intervals} intervals between samples, found shape {numbers.shape}; correct the shape"
         )
-    if not np.isfinite(numbers).all():
-        raise ModelError(
-            f"input {label.full}: expected finite numbers, found {numbers}; correct them"
-        )
+    check_finite(f"input {label.full}", numbers)
     return numbers
 
 
