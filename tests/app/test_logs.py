@@ -134,6 +134,7 @@ READ = {  # text, further columns in the problem
         "",
     ),
     "quaternions": (quaternions("t,left,right,x,y,qx,qy,qz,qw", 4), ""),
+    "quaternions by number": (quaternions("t,left,right,x,y,q[1],q[2],q[3],q[0]", 4), ""),
     "quaternions of a plane": (quaternions("t,left,right,x,y,qz,qw", 2), ""),
     "names of messages": (quaternions(ROS, 4), ""),
     "topics in rows of their own": (merged(), ""),
@@ -199,7 +200,10 @@ REFUSED = {
         changed({3: lambda x: -4.5 + x / 89e3, 4: lambda y: 36.7 + y / 111e3}),
         "found degrees of longitude and latitude; project them to the map's system, EPSG:32630",
     ),
-    "feet": (changed(dict.fromkeys((3, 4), lambda x: x / 0.3048)), "positions in feet, as in 'x"),
+    "hundredths of degrees": (
+        changed({5: lambda heading: 100 * np.rad2deg(heading)}),
+        "values up to 2305.* that agree with no other column .*as in 'heading .cdeg.'",
+    ),
     "headings in degrees": (changed({5: np.rad2deg}), "as degrees .*as in 'heading \\[deg\\]'"),
     "headings clockwise from north": (
         changed(COMPASS),
@@ -243,12 +247,12 @@ REFUSED = {
         "probably angles or counts of an encoder; write their change over the time",
     ),
     "counts of every sample": (
-        changed(dict.fromkeys((1, 2), lambda rate: np.round(100 * rate))),
-        "a motion of 0.0102 times the travel of the wheels, probably another unit",
+        changed(dict.fromkeys((1, 2), lambda rate: np.round(15 * rate, 3))),
+        "a motion of 0.0679 times the travel of the wheels, probably another unit",
     ),
     "speeds of wheels": (
         changed(dict.fromkeys((1, 2), lambda rate: 0.15 * rate)),
-        "probably speeds of the wheels in m/s, which must be divided by the radius",
+        "probably .*speeds of the wheels in m/s, which must be divided by the radius",
     ),
     "speeds of wheels, named": (
         table(DRIVE, "t,left [m/s],right [m/s],x,y,heading"),
@@ -528,7 +532,9 @@ CIRCLE = np.column_stack([TIMES, 3 + 0 * TIMES, 4 + 0 * TIMES, np.sin(YAW), 1 - 
         ({0: 1e3}, "times in ms, as in 't [ms]'"),
         ({0: 1 / 60}, "times in minutes, as in 't [minutes]'"),
         ({1: 30 / np.pi, 2: 30 / np.pi}, "rates in rpm, as in 'left [rpm]'"),
+        ({1: 0.5 / np.pi, 2: 0.5 / np.pi}, "rates in rev/s, as in 'left [rev/s]'"),
         ({3: 1e3, 4: 1e3}, "positions in mm, as in 'x [mm]'"),
+        ({3: 1 / 0.3048, 4: 1 / 0.3048}, "positions in feet, as in 'x [feet]'"),
         ({0: 1 / 86400}, "times in days, which must be multiplied by 86400"),
     ],
 )

@@ -394,6 +394,21 @@ GRAY = {  # the same levels in other formats
 }
 
 
+@pytest.mark.parametrize("ending", ["tif", "jpg", "png", "webp"])
+def test_pictures_that_programs_turn_are_refused(tmp_path, ending):
+    """GDAL takes rows as they are stored, and levels, with white as zero, too."""
+    tags, path = Image.Exif(), tmp_path / f"map.{ending}"
+    tags[274] = 4
+    Image.fromarray(BYTES).save(path, exif=tags)
+    refuses(
+        path, "rows from north to south, found the orientation 4", cell=1.0, registration="area"
+    )
+    with warnings.catch_warnings(action="ignore"):
+        options = {"photometric": "miniswhite", "crs": None, "transform": Affine.identity()}
+        path = geotiff(tmp_path / "map.tif", 40 * ROWS, dtype="uint8", **options)
+    refuses(path, "levels that rise to white, .* --calc=255-A", cell=1.0, registration="area")
+
+
 @pytest.mark.parametrize("name", GRAY)
 def test_gray_pictures_of_all_formats(tmp_path, name):
     """GDAL returns an uninitialized transform for PGM, which must not be used as coordinates."""
@@ -572,9 +587,12 @@ def netcdf(path, order="yx", names="z", bend=0.0, **changes):
 )
 def test_coordinates_of_netcdf_files(tmp_path, changes, words):
     """GDAL takes the last dimension for x, and ignores units and the direction of heights."""
-    found = read_map(netcdf(tmp_path / "map.nc", z={"units": "m", "positive": "up"})).grid
+    markers = {"missing_value": np.float32(ROWS[3, 4]), "_FillValue": np.float32(-6)}
+    z = {"units": "m", "positive": "up", **markers}
+    found = read_map(netcdf(tmp_path / "map.nc", z=z)).grid
     assert_allclose((found.x[0], found.y[0]), (WEST, NORTH), rtol=0, atol=1e-6)
-    assert_array_equal(found.z, ROWS.T)
+    assert_array_equal(found.holes, ROWS[3, 4] == ROWS.T)
+    assert_array_equal(np.where(found.holes, 0, found.z - ROWS.T), 0)
     refuses(netcdf(tmp_path / "map.nc", **changes), f"map.nc: expected .*{words}")
     if not changes.get("x", True):
         refuses(tmp_path / "map.nc", words, cell=1.0, registration="area")

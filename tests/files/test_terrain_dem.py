@@ -220,7 +220,7 @@ def written_scattered(path, points, delimiter=" ", header=""):
         ("p.txt", "\t", "# measured today"),
         ("p.csv", ",", "X, Y, Z"),
         ("p.csv", ";", "easting;northing;height"),
-        ("p.csv", ",", "E,N,Up"),
+        ("p.csv", ",", "E,N,h"),
     ],
 )
 def test_a_plane_is_exact(tmp_path, name, delimiter, header):
@@ -294,7 +294,7 @@ def test_nodes_outside_the_hull_are_holes(tmp_path):
         ("", "expected a table, found an empty file"),
         ("0 0 1\n1 0 x\n0 1 1\n", "xyz:2: expected three numbers x,y,z, found '1 0 x'; "),
         ("0 0\n1 0 1\n1 0 2\n", "xyz:1: expected 3 values as in the lines below, found '0 0'"),
-        ("a b c d\n0 0 1 5\n1 0 1 5\n", "found no column 'x' among a, b, c, d; name the columns"),
+        ("a b c\n0 0 1\n1 0 1\n", "no column 'y', no column 'z' among a, b, c; name"),
         ("0 0 1\n0 0 1\n1 0 1\n", "at least 3 points with different x, y, found 2"),
         ("1 0 0 1\n2 0 1 1\n3 1 0 1\n", "p.xyz:1: expected .* first column counts or names .* as"),
         ("0,000,0,500,1,250\n", "found '000' between commas, .* separate the columns by semicolon"),

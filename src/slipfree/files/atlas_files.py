@@ -255,9 +255,7 @@ def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
                 variable.axis = label.name.upper()
         mapped = {}
         if site.crs:
-            mapping = file.createVariable(netcdf.CRS, "i4", ())
-            mapping[...] = 0
-            netcdf.annotate(mapping, netcdf.grid_mapping(site.crs))
+            netcdf.add_scalar(file, netcdf.CRS, netcdf.grid_mapping(site.crs))
             named = {each.axis: each.name for each in site.coordinates}
             labels = [netcdf.map_label(named.get(axis, axis), site.crs) for axis in "xy"]
             for axis, label in zip("xy", labels, strict=True):

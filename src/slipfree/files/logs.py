@@ -19,7 +19,16 @@ from slipfree.core.records import Array, ComplexArray, Indices, Mask
 from slipfree.files.maps.reference_systems import metric_system
 from slipfree.files.mcap import is_mcap, read_motion_log
 from slipfree.files.netcdf import read as read_result
-from slipfree.files.tables import ALIASES, Columns, line_of, read_columns, read_names, split_unit
+from slipfree.files.tables import (
+    ALIASES,
+    DAY,
+    UNITS,
+    Columns,
+    line_of,
+    read_columns,
+    read_names,
+    split_unit,
+)
 
 POSE = ("x", "y", "heading", "vx", "vy", "window")  # columns that rows of a log must have
 GAP = 1.5  # longest time between rows whose positions count as continuous [s], or 1.5 medians
@@ -30,31 +39,26 @@ FAR = 0.3  # least distance of a row that is away from both of its neighbours [m
 RETURN, MIXED = 0.1, 0.03  # distance of these over it, and share of such rows in mixed drives [1]
 CHORD, CHORDS = 1.0, 50  # time of chords that have a course [s], and least number of them in a log
 LEAST_CHORDS = 5
-MAX_RATIO = 50.0  # of the motion to the travel of the wheels, or of this to that [1]
+MAX_RATIO = 8.0  # of the motion to the travel of the wheels, or of this to that [1]
 ALIKE, NEAR = 0.9, 0.25  # least cosine of similar speeds, and tolerance of the ratio of units [1]
 CLEAR, CLEARER = 0.8, 0.3  # least concentration of courses about headings, and least difference
 OPPOSITE, COUNTS = 0.5, 0.95  # least correlations of turns, and of counts with the path [1]
 OFFSET = 25.0  # least constant difference of course and heading that is refused [deg]
 FULL_CIRCLE = 360.0  # largest longitude [deg]
 DEGREE = 1e-4  # motion over travel of wheels below which positions are degrees [1]
-OF_RATES = {  # motion relative to the travel of the wheels if units are not named [1]
-    "rates in rpm, as in 'left [rpm]'": np.pi / 30,
-    "rates in deg/s, as in 'left [deg/s]'": np.pi / 180,
-}
-OF_SPEEDS = {
-    "speeds in km/h, as in 'left [km/h]'": 1 / 3.6,
-    "speeds in cm/s, as in 'left [cm/s]'": 1e-2,
-    "rates of wheels in rad/s, which must be multiplied by the radius": 0.15,
-}
-OF_POSES = {
-    "times in ms, as in 't [ms]'": 1e-3,
-    "times in minutes, as in 't [minutes]'": 60.0,
-    "times in days, which must be multiplied by 86400": 86400.0,
-    "positions in km, as in 'x [km]'": 1e-3,
-    "positions in feet, as in 'x [ft]'": 1 / 0.3048,
-    "positions in cm, as in 'x [cm]'": 1e2,
-    "positions in mm, as in 'x [mm]'": 1e3,
-}
+
+
+def _of_units(words: str, names: str, power: int = 1) -> dict[str, float]:
+    """Return the motion over the travel of the wheels for columns in other units, by words [1]."""
+    return {words.format(name): UNITS[name][1] ** power for name in names.split()}
+
+
+OF_RATES = _of_units("rates in {0}, as in 'left [{0}]'", "rpm deg/s rev/s")
+OF_SPEEDS = _of_units("speeds in {0}, as in 'left [{0}]'", "km/h cm/s")
+OF_SPEEDS["rates of wheels in rad/s, which must be multiplied by the radius"] = 0.15
+OF_POSES = _of_units("times in {0}, as in 't [{0}]'", "ms minutes")
+OF_POSES["times in days, which must be multiplied by 86400"] = DAY
+OF_POSES |= _of_units("positions in {0}, as in 'x [{0}]'", "km feet cm mm", -1)
 
 
 class MotionLog(NamedTuple):
@@ -303,10 +307,12 @@ def check_motion(
     may_turn : bool
         Whether headings may have a constant difference from the course, as of a sensor.
     """
-    t, values = log.t, log.values
-    place = values["x"] + 1j * values["y"]
-    step = max(1, min(round(CHORD * t.size / max(np.ptp(t), CHORD)), t.size // CHORDS))
-    part = np.append(0, np.cumsum(~is_continuous(t, place, values.get("window", 0 * t))))
+    t, place = log.t, log.values["x"] + 1j * log.values["y"]
+    part = np.append(0, np.cumsum(~is_continuous(t, place, log.values.get("window", 0 * t))))
+    fresh = np.append(True, np.diff(place) != 0)  # poses may be held until the next one is measured
+    log = log._replace(values={name: column[fresh] for name, column in log.values.items()})
+    values, place, part = log.values, place[fresh], part[fresh]
+    step = max(1, min(round(CHORD * place.size / max(np.ptp(t), CHORD)), place.size // CHORDS))
     rows = np.flatnonzero((part[step:] == part[:-step]) & (place[step:] != place[:-step]))
     if rows.size < LEAST_CHORDS:
         return
@@ -314,7 +320,7 @@ def check_motion(
     size, turns, sign = np.abs(chords), None, 2  # courses are known up to the direction of travel
 
     def change(rate: Array) -> Array:
-        sums = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(t)))
+        sums = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(t)))[fresh]
         return np.asarray(sums[rows + step] - sums[rows])
 
     if sides is not None:
@@ -328,7 +334,7 @@ def check_motion(
             # rates that are angles or counts of an encoder may start again
             parts = [speed] if sides is None else sides
             turned = [np.unwrap(each, period=float(np.ptp(each)) or 1.0) for each in parts]
-            counts = np.sum(turned, axis=0)
+            counts = np.sum(turned, axis=0)[fresh]
             steps = np.abs(counts[rows + step] - counts[rows])
             _check_travel(log, size, np.abs(travel), steps, ratios)
         chords = chords * np.where(travel < 0, -1, 1)
@@ -358,13 +364,17 @@ def check_motion(
     if best == -1.0 and abs(alike[best]) > CLEAR:  # also in drives that hardly turn
         is_other |= _correlation(curved, bent[later]) < -OPPOSITE
     offset, mirrored = (np.rad2deg(np.angle(alike[factor]) / sign) for factor in (1.0, -1.0))
-    largest = float(np.abs(log.values["heading"]).max())
+    largest = float(np.abs(values["heading"]).max())
+    is_alien = turns is not None and abs(alike[best]) < CLEAR and by_wheels < OPPOSITE
     if is_other and abs(best) < 1 and (is_aligned or largest > FULL_TURN):
         expected = "in rad"
         found = f"values up to {largest:g} that agree with the direction of motion as degrees"
         remedy = "name their unit with the column, as in 'heading [deg]'"
     elif not is_aligned:
         return
+    elif is_alien and largest > FULL_TURN:
+        expected, found = "in rad", f"values up to {largest:g} that agree with no other column"
+        remedy = "name their unit with the column, as in 'heading [cdeg]'"
     elif is_other and by_wheels > OPPOSITE:
         expected, found = "that turn with the course", "that it turns against headings and wheels"
         remedy = "exchange the columns of x, to the east, and y, to the north"

@@ -223,22 +223,17 @@ def write(
             annotate(time, TIME_ATTRIBUTES)
             if run.wheels:
                 names = [name.encode() for name in run.wheels]
-                length = (
-                    -(-max(map(len, names)) // 4) * 4
-                )  # a multiple of 4: the file needs no padding
+                # a multiple of 4: the file needs no padding
+                length = -(-max(map(len, names)) // 4) * 4
                 file.createDimension("wheel", len(names))
                 file.createDimension("strlen", length)
                 wheel = file.createVariable("wheel", "c", ("wheel", "strlen"))
                 wheel[:] = np.array(names, f"S{length}").view("S1").reshape(len(names), length)
                 annotate(wheel, {**WHEELS, "_Encoding": "utf-8"})
             if is_trajectory(run):
-                number = file.createVariable(TRAJECTORY, "i4", ())
-                number[...] = 1
-                annotate(number, TRAJECTORY_ATTRIBUTES)
+                add_scalar(file, TRAJECTORY, TRAJECTORY_ATTRIBUTES, 1)
             if on_map:
-                mapping = file.createVariable(CRS, "i4", ())
-                mapping[...] = 0  # without a value, what memory contained is written
-                annotate(mapping, grid_mapping(run.attributes[MAP_CRS]))
+                add_scalar(file, CRS, grid_mapping(run.attributes[MAP_CRS]))
             for name, column in columns.items():
                 variable = file.createVariable(name, "f8", column.dimensions[::-1])
                 annotate(variable, column.metadata | coordinate_attributes(run, [*on_map], name))
@@ -360,6 +355,13 @@ def annotate(node: Any, attributes: Mapping[str, Any]) -> None:
             )
         text = regular_files.escape_name(value).encode() if isinstance(value, str) else None
         setattr(node, name, np.float64(value) if text is None else text)
+
+
+def add_scalar(file: Any, name: str, attributes: Mapping[str, Any], value: int = 0) -> None:
+    """Add a whole number with attributes to a netCDF file that is written."""
+    variable = file.createVariable(name, "i4", ())
+    variable[...] = value  # without a value, what memory contained is written
+    annotate(variable, attributes)
 
 
 class _Variable(NamedTuple):

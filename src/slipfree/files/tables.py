@@ -50,9 +50,9 @@ UNIT_IN_NAME = (  # "x [m]", "time(s)"; "t / s"; "left_rad_s", "vx_m_per_s"; "ya
 )
 ALIASES = (  # names of the same quantity
     {"t", "time", "timestamp", "stamp"},
-    {"x", "easting", "east", "e"},
-    {"y", "northing", "north", "n"},
-    {"z", "height", "elevation", "elev", "ele", "altitude", "alt", "up", "u"},
+    {"x", "easting", "east", "e", "rechtswert", "ostwert"},
+    {"y", "northing", "north", "n", "hochwert", "nordwert"},
+    {"z", "height", "h", "elevation", "elev", "ele", "altitude", "alt", "up", "u", "höhe", "hoehe"},
     {"heading", "yaw"},
     {"longitude", "long", "lon", "lng"},
     {"latitude", "lat"},
@@ -66,7 +66,7 @@ MISSING = ("", "nan", "na", "n/a", "#n/a", "#nv", "null", "none", "-")
 PARTS = {  # columns from which a quantity follows: pattern of stem and part, and required parts
     "t": (re.compile(r"(.*?)((?:nano|n)?sec(?:s|onds)?)$", re.IGNORECASE), "sn"),
     "heading": (
-        re.compile(r"(.*(?:q|quat|quaternion|orientation|rotation)[._]?)([xyzw])$", re.IGNORECASE),
+        re.compile(r"(.*(?:q|quat(?:ernion)?|orientation|rotation)[._[]?)([xyzw0-3])]?$", re.I),
         "zw",
     ),
 }
@@ -79,11 +79,8 @@ REMEDIES = {  # by the units that were expected and found
     ("m/s", "rad/s"): "multiply the rates by the radius of the wheels, or, in a fit, "
     "--set data.unit=rad/s",
 }
-LARGE_TIMES = (
-    ("nanoseconds", 1e17, "ns"),
-    ("microseconds", 1e14, "us"),
-    ("milliseconds", 1e11, "ms"),
-)
+# units of times that count from a fixed date
+LARGE_TIMES = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds"}
 
 
 class _TextTable(NamedTuple):
@@ -188,23 +185,20 @@ def read_columns(
     width, count = len(layout.row), len(names)
     wanted = f"{COUNTS.get(count, count)} numbers {','.join(names)}"
     notes = []
-    bases = {split_unit(name)[0].lower() for name in layout.names}
-    is_strange = not bases & set.union({*names}, *ALIASES)
-    is_in_order = not layout.names or (others and is_strange and width == count)
-    if not isinstance(columns, Mapping) and is_in_order:
+    if not isinstance(columns, Mapping) and not layout.names:
         chosen = {name: (k, "") for k, name in enumerate(names)}
         if width > count and others:
-            if not layout.names:  # the first column may count or name the rows
-                cells = [_line_cells(text, layout.separator)[0] for _, text in layout.lines(wanted)]
-                first, size = cells[0], len(cells)
-                least = int(first) if first.isdigit() else 0
-                counts = [str(k) for k in range(least, least + size)]
-                if (size > 1 and cells == counts) or not _is_number(first, layout.separator):
-                    raise DataError(
-                        f"{path}:{layout.first}: expected {wanted} in the first columns, found "
-                        f"that the first column counts or names the rows, from {first!r}; name "
-                        f"the columns in {where}, as in number,{wanted.split()[-1]}"
-                    )
+            # the first column may count or name the rows
+            cells = [_line_cells(text, layout.separator)[0] for _, text in layout.lines(wanted)]
+            first, size = cells[0], len(cells)
+            least = int(first) if first.isdigit() else 0
+            counts = [str(k) for k in range(least, least + size)]
+            if (size > 1 and cells == counts) or not _is_number(first, layout.separator):
+                raise DataError(
+                    f"{path}:{layout.first}: expected {wanted} in the first columns, found "
+                    f"that the first column counts or names the rows, from {first!r}; name "
+                    f"the columns in {where}, as in number,{wanted.split()[-1]}"
+                )
             notes = [f"{', '.join(names)} are the first {count} of {width} columns"]
         elif width != count and layout.row:
             text = (layout.separator or " ").join(layout.row)
@@ -246,8 +240,8 @@ def read_columns(
             if np.ptp(column // DAY) == 0 and column[0] // DAY == TIME_OF_DAY:
                 column = column + DAY * np.cumsum(np.diff(column, prepend=column[0]) < -DAY / 2)
             largest = float(np.abs(column).max())
-            for word, smallest, short in LARGE_TIMES:
-                if not unit and largest >= smallest:
+            for short, word in LARGE_TIMES.items():
+                if not unit and largest >= EPOCH / UNITS[short][1]:
                     raise DataError(
                         f"{path}: expected times in s, found values up to {largest:.3g} in the "
                         f"column {title!r}, probably {word}; name it {f'{title} [{short}]'!r} in "
@@ -284,6 +278,11 @@ def split_unit(name: str) -> tuple[str, str]:
     return name, ""
 
 
+def part_of(match: re.Match[str]) -> str:
+    """Return the part of a quantity of `PARTS`: s, n; w, x, y, z, or 0 to 3 in this order."""
+    return match[2][0].lower().translate(str.maketrans("0123", "wxyz"))
+
+
 def _opened(path: Path, expected: str) -> _TextTable:
     """Return a table, with the separator that divides most lines alike."""
     content = read_bytes(path, f"{expected} as text")
@@ -302,7 +301,7 @@ def _opened(path: Path, expected: str) -> _TextTable:
     lines: list[str] = []
     while len(lines) < SAMPLE[0] and sum(map(len, lines)) < SAMPLE[1] and (line := file.readline()):
         lines.append(line)
-    candidates: list[tuple[int, str | None, int]] = []
+    candidates: list[tuple[tuple[int, int], str | None, int]] = []
     for separator in SEPARATORS:
         texts = [text for line in lines if (text := _line_body(line, separator))]
         rows = [_line_cells(text, separator) for text in texts]
@@ -310,8 +309,9 @@ def _opened(path: Path, expected: str) -> _TextTable:
         width, count = max(widths.items(), key=lambda item: item[1], default=(0, 0))
         cells = [cell for row in rows if len(row) == width for cell in row]
         is_split = not any(_is_row(cell.split(), None) for cell in cells)
-        if is_split and any(_is_number(cell, separator) for cell in cells):
-            candidates.append((count, separator, width))
+        numbers = sum(_is_number(cell, separator) for cell in cells)
+        if is_split and numbers:
+            candidates.append(((count, numbers), separator, width))
     if not candidates:  # a table without rows, or rows that are not numbers
         used = [(k, text) for k, line in enumerate(lines, 1) if (text := _line_body(line, None))]
         if not used:
@@ -453,7 +453,7 @@ def _choose(
         for k, title in enumerate(names if pattern and len(indices) != 1 else ()):
             match = pattern.match(title) if pattern else None
             if match and match[1].startswith(name * (name != key)):
-                stems.setdefault(match[1], {})[f"{key}:{match[2][0].lower()}"] = k, ""
+                stems.setdefault(match[1], {})[f"{key}:{part_of(match)}"] = k, ""
         needed = {f"{key}:{part}" for part in required}
         complete = [parts for parts in stems.values() if needed <= {*parts}]
         if len(complete) == 1:
@@ -524,7 +524,7 @@ def _read_numbers(
             remedy = "correct or remove the line"
             if re.match(r"\d+[-/.]\d+[-/.]\d{2}", text):
                 remedy = DATES
-            elif re.search(r"\d[.,]\d{3}[.,]\d", text):
+            elif any(re.search(r"\d[.,]\d{3}[.,]\d", cells[k]) for k in indices):
                 remedy = "write numbers without separators of thousands"
             raise layout.error(number, text, wanted, remedy)
         signs = {sign for k in indices for sign in ",." if sign in cells[k] and k not in converters}

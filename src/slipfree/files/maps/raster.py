@@ -13,7 +13,7 @@ import sys
 import warnings
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -40,6 +40,8 @@ KEYS: dict[str, str] = TABLE["keys"]  # of the headers of rasters as text, by dr
 # drivers that open files only by name, by the first bytes of the files
 BY_NAME = {head.encode("latin1"): driver for head, driver in TABLE["by_name"].items()}
 UNKNOWN = "not recognized as being in a supported file format"  # in errors of GDAL
+PICTURES = "GTiff", "JPEG", "PNG", "WEBP"  # formats with Exif tags
+ORIENTATION = 274  # tag of Exif and TIFF
 CACHE = 64  # GDAL's cache of blocks [MB]
 EDITABLE = "GTiff", "HFA"  # formats whose missing value gdal_edit.py changes in the file
 # P2 or P5, then width, height and maximum, with comments between them; one blank ends the header
@@ -56,6 +58,7 @@ TO_LEVELS = (
     "heights, gdal_translate {} in.png out.tif"
 )
 TO_GRAY = "keep only the band of heights: gdal_translate -b 1 in.tif out.tif"
+TO_TURNED = "turn it, or, if its rows do so, omit the tag: gdal_translate in.tif out.tif"
 TO_REAL = "convert them: gdal_translate -ot Float32 in.tif out.tif"
 TO_HEIGHTS = (
     "change their sign and state the horizontal system alone: gdal_calc.py -A in.tif --calc=-A "
@@ -138,7 +141,7 @@ def raster_parts(path: Path, ask: Reading) -> RasterParts:
     """Return a raster of which parts are read; its window may have any number of nodes."""
 
     def measure(file: Any, is_placed: bool) -> RasterParts:
-        _check_band(file)
+        _check_band(path, file)
         x, y, *_ = _place(file, ask, is_placed)
         return RasterParts(path, ask, (x, y), parts(x, y, ask.window, most=math.inf))
 
@@ -280,7 +283,7 @@ def _raw_pgm(content: bytes) -> bytes:
 
 def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heights:
     """Return the heights in a window of an open raster, in metres and with rising y."""
-    _check_band(file)
+    _check_band(path, file)
     place = _place(file, ask, is_placed)
     i, j = parts(place.x, place.y, ask.window)
     x, y = place.x.nodes(i), place.y.nodes(j)
@@ -316,7 +319,11 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
             f"only the levels {', '.join(map(str, OCCUPANCY))} of an occupancy map of ROS",
             "use an elevation map",
         )
-    raw = values.filled(np.nan)
+    if is_picture and file.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE"):
+        invert = f"gdal_calc.py -A in.tif --calc={np.iinfo(kind).max}-A --outfile=out.tif"
+        refuse("gray levels that rise to white", "levels that fall (MINISWHITE)", invert)
+    marker = float(file.tags(1).get("missing_value", "nan"))  # in netCDF besides _FillValue
+    raw = np.where(np.isclose(values.data, marker, 1e-6, 0), np.nan, values.filled(np.nan))
     raw = np.ascontiguousarray((raw if place.upward else raw[::-1]).T)
     if not is_picture or ask.vertical_scale is not None:
         degree = DEGREE if place.geographic else 1.0
@@ -420,8 +427,11 @@ def _unit(file: Any) -> float:  # of the heights, NaN if it is not known [m]
     return LENGTHS.get(_unit_name(file).strip("[]() ").lower(), math.nan)
 
 
-def _check_band(file: Any) -> None:
-    """Raise DataError unless a file has one band of heights, upward in a known unit of length."""
+def _check_band(path: Path, file: Any) -> None:
+    """Raise DataError unless a file has one band of heights, upward in a known unit of length.
+
+    GDAL ignores the tag by which programs turn or mirror a picture.
+    """
     colours = [band.name for band in file.colorinterp[:3]]
     if file.subdatasets:
         names = [re.sub(r'[^:]*\braster(\.\w+)?"?', r"in\1", each) for each in file.subdatasets]
@@ -455,6 +465,14 @@ def _check_band(file: Any) -> None:
     is_depth = tags.get("positive") == "down" or "depth" in tags.get("standard_name", "")
     if is_depth or DOWN.search(wkt):
         refuse("heights that are positive upward", "depths, positive downward", TO_HEIGHTS)
+    if file.driver in PICTURES:
+        from PIL import Image, UnidentifiedImageError
+
+        # Pillow does not read all rasters of GIS
+        with suppress(UnidentifiedImageError, Image.DecompressionBombError), Image.open(path) as im:
+            if (turned := im.getexif().get(ORIENTATION, 1)) != 1:
+                found = f"the orientation {turned} of a picture"
+                refuse("rows from north to south", found, TO_TURNED)
 
 
 def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:

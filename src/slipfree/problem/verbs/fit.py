@@ -31,7 +31,14 @@ from slipfree.files.logs import (
     read_log,
 )
 from slipfree.files.netcdf import FIT, ORIGIN, open_netcdf
-from slipfree.files.tables import ALIASES, PARTS, known_unit, read_names, split_unit
+from slipfree.files.tables import (
+    ALIASES,
+    PARTS,
+    known_unit,
+    part_of,
+    read_names,
+    split_unit,
+)
 from slipfree.files.toml import Angle, Pair, Positive, Quantity, Record, given_values, name_errors
 from slipfree.fit.drive_fit import (
     BLOCKS,
@@ -504,8 +511,9 @@ class _Reader(NamedTuple):
         vx, vy = columns.pop("velocity") or (None, None)
         if not columns["heading"]:
             names = read_names(path, "a log") if _is_text(path) else ["heading"]
-            is_heading = PARTS["heading"][0].match
-            has_heading = any(each.lower() in ALIASES[4] or is_heading(each) for each in names)
+            matches = filter(None, map(PARTS["heading"][0].match, names))
+            has_heading = {*map(part_of, matches)} >= {*PARTS["heading"][1]}
+            has_heading |= any(each.lower() in ALIASES[4] for each in names)
             columns["heading"] = "heading" if has_heading else None
         columns |= {"vx": vx, "vy": vy}
         wanted = {name: each for name, each in columns.items() if each and name not in SIDES}
