@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 import slipfree
-from helpers.cases import ROOT
+from helpers.cases import DATA, ROOT
 from helpers.commands import invoke, printed, refused, sets
 from helpers.fuzz_files import bases, document
 from helpers.problem_files import PROBLEM
@@ -401,13 +401,14 @@ def test_help_needs_no_heavy_imports():
 OPTIONAL = {"trimesh", "xacro", "laspy", "lazrs", "mcap", "mcap_ros2", "rosbags", "yourdfpy"}
 OPTIONAL |= {"pyproj", "rasterio", "viser", "distributed", "xarray", "pandas"}
 # their import takes as long as all others
-OPTIONAL |= {"matplotlib", "scipy.signal", "scipy.stats"}
+OPTIONAL |= {"matplotlib", "scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.stats"}
 
 
 @pytest.mark.slow
 def test_optional_libraries_are_imported_only_when_used(folder):
-    """A motion on a ground without reference system, without figures, needs none of them."""
-    lines = "--version", "run p.toml --no-draw --set time.duration=0.2", "info p.nc"
+    """A motion or a plan without reference system and figures needs none of them."""
+    plan = f"run {DATA / 'plan_of_a_short_way.toml'} --no-draw -o plan.nc --set driver="
+    lines = "--version", "run p.toml --no-draw --set time.duration=0.2", "info p.nc", plan
     code = (
         "import sys, slipfree\n"
         "from slipfree.cli import main\n"

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.interpolate import CubicSpline
 
 import slipfree as sf
 from helpers.cases import closure_model, hills
@@ -12,6 +13,7 @@ from helpers.commands import refuses
 from helpers.vehicles import all_steered, skid_steered
 from slipfree.catalog import ackermann, skid_steer, three_wheeler
 from slipfree.control import path_following as laws
+from slipfree.geometry.path import cubic_spline
 from slipfree.terrain.synthetic import blank, power_law
 
 WAY = np.array([(0, 0), (25, 3), (50, 0), (75, -3), (100, 0)], dtype=float)
@@ -45,6 +47,16 @@ def test_path_is_by_arc_length():
     assert_allclose(place.heading, s / 5, atol=2e-3)  # north at first, turning left
     moved = np.hypot(np.diff(place.x), np.diff(place.y))
     assert_allclose(moved, np.diff(s), rtol=5e-4)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 30])
+def test_splines_are_those_of_scipy(count, rng):
+    at, values = np.cumsum(rng.uniform(0.5, 2.0, count)), rng.normal(size=(count, 2))
+    places = np.linspace(at[0], at[-1], 41)
+    spline = CubicSpline(at, values, bc_type="natural" if count < 4 else "not-a-knot")
+    for order in range(3):
+        found = cubic_spline(at, values, places, order)
+        assert_allclose(found, spline(places, order), atol=1e-11)
 
 
 def test_path_goes_straight_on_beyond_its_ends():

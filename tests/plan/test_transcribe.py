@@ -16,6 +16,7 @@ from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.lookups import evaluate, evaluate_by_columns, evaluate_lanes
 from slipfree.core.records import Label
+from slipfree.plan import sparse_assembly
 from slipfree.plan.constraints import conflicts
 from slipfree.plan.explanation import violations
 from slipfree.plan.ipopt import solve_program
@@ -207,9 +208,12 @@ def test_a_limit_along_the_way_and_a_way_point_hold():
     assert found.cost == pytest.approx(4.0, abs=1e-6)  # two metres in two seconds, and back
 
 
+@pytest.mark.parametrize("columns", [False, True])
 @pytest.mark.parametrize("continuous", [False, True])
-def test_derivatives_are_those_of_the_functions(continuous, rng):
+def test_derivatives_are_those_of_the_functions(continuous, columns, rng, monkeypatch):
     """Put together by index they are what CasADi makes of cost and rows as a whole."""
+    if columns:
+        monkeypatch.setattr(sparse_assembly, "FEW_POINTS", 0)
     dae = toy(2, lambda t, x, z, u: [ca.sin(t * x[1]) * u, z * u**2])
     (x, _), z, u = dae.x.values, dae.z.values[0], dae.u.values[0]
     cost = Cost("cost", z * u**2 + ca.cos(x * dae.t), "", "")
