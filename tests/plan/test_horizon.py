@@ -265,8 +265,8 @@ def test_what_is_no_window_period_world_or_state_is_refused(found, window):
     start = state_at_start(task)
     for given, words in (
         ({"span": 9.0}, "at most 8 s, the duration of the plan, found 9"),
-        ({"span": 4.0, "intervals": 0}, "intervals: expected 1 or more, found 0"),
-        ({"span": 4.0, "iterations": -1}, "iterations: expected 1 or more, found -1"),
+        ({"span": 4.0, "intervals": 0}, "intervals: expected a number >= 1, found 0"),
+        ({"span": 4.0, "iterations": -1}, "iterations: expected a number >= 1, found -1"),
     ):
         refuses(sf.ModelError, words, horizon, found, **given)
     # a window counts time from its own beginning

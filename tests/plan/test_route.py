@@ -735,7 +735,7 @@ def test_free_heading_takes_the_shortest_path():
     headings = start[2] + 2 * np.pi * np.arange(HEADINGS) / HEADINGS
     lengths = [length_of(reeds_shepp(start, (*goal, each), RADIUS)) for each in headings]
     assert length_of(free) == pytest.approx(min(lengths))
-    with pytest.raises(sf.ModelError, match="positive, finite 'turning_radius'"):
+    with pytest.raises(sf.ModelError, match="turning_radius: expected a number > 0, found 0"):
         reeds_shepp((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0)
 
 

@@ -419,7 +419,7 @@ def test_lengths_and_speeds_that_do_not_fit_are_refused(case):
     for change, words in (
         ({"overlap": 1.8}, "overlap shorter than the window"),
         ({"overlap": 0.0}, "overlap shorter than the window"),
-        ({"speed": 0.0}, "expected a positive speed, found 0 m/s"),
+        ({"speed": 0.0}, "speed: expected a number > 0, found 0"),
     ):
         refuses(sf.ModelError, words, windows, case, **change)
 

@@ -9,6 +9,7 @@ its Taylor polynomial about the current position.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from math import inf
@@ -315,7 +316,7 @@ def run_buffered(
     ``columns`` are arguments (m, n) by index, others are zero; ``results`` is the memory (n, m) of
     results by index, one row for each column of a result. Errors are those of `evaluate`.
     """
-    buffer = ca.FunctionBuffer(function)
+    buffer = _buffer(function, tuple(columns), tuple(results), threading.get_ident())
     # CasADi's annotations require a second argument, which memory views do not have
     set_argument, set_result = cast(Any, buffer.set_arg), cast(Any, buffer.set_res)
     given = {k: np.ascontiguousarray(each.T, dtype=float) for k, each in columns.items()}
@@ -335,6 +336,9 @@ def run_buffered(
     return buffer
 
 
+# buffer of a function by the indices of its arguments and results, and by thread; a new one would
+# allocate the function's memory in each evaluation
+_buffer = lru_cache(maxsize=32)(lambda function, *_: ca.FunctionBuffer(function))
 # function of many points at once, by function and number of points; repeated runs share it
 _mapped = lru_cache(maxsize=32)(ca.Function.map)
 

@@ -25,9 +25,11 @@ from slipfree.control.path_following import (
     turning_axis_offset,
     turning_radius,
 )
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Record, leaves
+from slipfree.core.schema import Positive
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.path import Path
 from slipfree.models.kinematics import direct_kinematics
@@ -302,10 +304,11 @@ class Arc(NamedTuple):
     curvature: float  # change of the heading per metre driven forwards, positive to the left [1/m]
 
 
+@checked
 def reeds_shepp(
     start: PlanarPose,
     goal: tuple[float, float, float | None],
-    turning_radius: float,
+    turning_radius: Positive,
     ahead: float = 0.0,
 ) -> tuple[Arc, ...]:
     """Return the shortest path of a car between two poses, with cusps where it reverses.
@@ -319,11 +322,6 @@ def reeds_shepp(
     """
     from rsplan import planner  # imported here: only this function uses the package
 
-    if not 0 < turning_radius < math.inf:
-        raise ModelError(
-            "reeds_shepp: expected a positive, finite 'turning_radius', found "
-            f"{turning_radius:g} m; give that of the middle of the rear axle"
-        )
     x, y, heading = goal
     spread = 2 * np.pi * np.arange(HEADINGS) / HEADINGS + start[2]
     paths = [

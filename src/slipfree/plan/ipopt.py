@@ -92,7 +92,8 @@ class _IterateWatcher(ca.Callback):
         self.program, self.on_iterate, self.guard = program, on_iterate, guard
         self.violations: list[float] = []
         self.best: tuple[Iterate, Array] | None = None
-        self.sizes = (program.scale.size, program.g_lower.size, program.problem["p"].numel())
+        n_w, n_g, n_p = program.scale.size, program.g_lower.size, program.problem["p"].numel()
+        self.sizes = {"f": 1, "x": n_w, "lam_x": n_w, "g": n_g, "lam_g": n_g, "lam_p": n_p}
         self.construct("watch", {})
 
     def get_n_in(self) -> int:
@@ -101,9 +102,7 @@ class _IterateWatcher(ca.Callback):
 
     def get_sparsity_in(self, index: int) -> ca.Sparsity:
         """Return the sparsity of an argument: a dense column."""
-        n_w, n_g, n_p = self.sizes
-        sizes = {"f": 1, "x": n_w, "lam_x": n_w, "g": n_g, "lam_g": n_g, "lam_p": n_p}
-        return ca.Sparsity.dense(sizes[ca.nlpsol_out(index)], 1)
+        return ca.Sparsity.dense(self.sizes[ca.nlpsol_out(index)], 1)
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
         """Record and report an iterate; return ``[1.0]`` to stop IPOPT, otherwise ``[0.0]``."""

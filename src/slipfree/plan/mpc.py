@@ -21,7 +21,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import evaluate, run_buffered
 from slipfree.core.records import Array, Record, field_overview, with_overview
-from slipfree.core.schema import Finite
+from slipfree.core.schema import Count, Finite
 from slipfree.core.trajectory import SolverError, Trajectory, ipopt_words
 from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
 from slipfree.plan.plan import Plan
@@ -82,9 +82,10 @@ class Cycle(NamedTuple):
     violation: float  # largest violation of a row of the program, in its unit
 
 
+@checked
 @computing
 def horizon(
-    plan: Plan, *, span: float, intervals: int = 20, degree: int = 3, iterations: int = 1
+    plan: Plan, *, span: float, intervals: Count = 20, degree: Count = 3, iterations: Count = 1
 ) -> Horizon:
     """Return a moving window of a plan, for `replan`.
 
@@ -112,7 +113,7 @@ def horizon(
         since times of a window begin at zero.
     """
     length, task = plan.motion.duration, plan.program.task
-    _check_task(task, {"intervals": intervals, "degree": degree, "iterations": iterations})
+    _check_task(task)
     if not 0 < span <= length:
         raise ModelError(
             f"horizon: span: expected a window above 0 and at most {length:g} s, the duration of "
@@ -145,14 +146,11 @@ def horizon(
     )
 
 
-def _check_task(task: PlanTask, numbers: dict[str, int]) -> None:
-    """Raise ModelError unless numbers are positive and the problem does not depend on time.
+def _check_task(task: PlanTask) -> None:
+    """Raise ModelError unless the problem does not depend on time.
 
     A window moves: its program is the same at all times.
     """
-    for name, number in numbers.items():
-        if number < 1:
-            raise ModelError(f"horizon: {name}: expected 1 or more, found {number}; increase it")
     dae = task.dae
     asked = (
         limit.expression for limit in (*task.limits, *dae.all_limits, *task.conditions[-1].limits)
@@ -246,10 +244,8 @@ def replan(window: Horizon, former: Cycle, t: Finite, x: Array) -> Cycle:
     if span < MIN_WINDOW_FRACTION * window.span:
         return former
     first = _sample_motions(window, [(former.motion, former.t), (plan, 0.0)], t, span)
-    near = first[program.layout.first]
-    x = same_turn(x[:, None], near[:, None], program.task.periodic)[:, 0]
-    first[program.layout.first] = x
-    first = completed(program, first)
+    at = program.layout.first
+    first[at] = same_turn(x[:, None], first[at][:, None], program.task.periodic)[:, 0]
     multipliers = _shift_multipliers(program, former, t, span)
     return _iterated(window, t, first, _row_bounds(window, t + span), multipliers)
 
@@ -297,7 +293,7 @@ def refine(window: Horizon, start: Trajectory, inputs: Array) -> Cycle:
     x, z = (dae.rows(record, run, at) for record in "xz")
     middle = span * input_fractions(program)
     u = inputs[:, np.clip(np.searchsorted(edges, middle) - 1, 0, inputs.shape[1] - 1)]
-    first = completed(program, unknowns_of(program, x, z, u, span))
+    first = unknowns_of(program, x, z, u, span)
     n_z = window.plan.layout.unknowns.shape[2]
     asked = np.array(window.targets(x[:, -1], z[:n_z, -1], u[:, -1])).ravel()
     return _iterated(window, 0.0, first, _with_goal(program, asked), np.zeros(program.g_lower.size))
@@ -312,10 +308,9 @@ def _iterated(
     this cycle, ``multipliers`` those of the last one.
     """
     program, scale = window.program, window.program.scale
-    x, span = first[program.layout.first], float(first[program.layout.duration])
     lower, upper = program.lower.copy(), program.upper.copy()
-    lower[program.layout.first] = upper[program.layout.first] = x
-    lower[program.layout.duration] = upper[program.layout.duration] = span
+    fixed = np.append(program.layout.first, program.layout.duration)
+    lower[fixed] = upper[fixed] = first[fixed]
     start, bounds, p = first / scale, (lower / scale, upper / scale), window.weights
     asked = replace(program, g_lower=row_bounds[0], g_upper=row_bounds[1])
 
@@ -333,6 +328,8 @@ def _iterated(
         is_last = k >= window.steps - 1 or np.abs(step.change).max() < CONVERGED_STEP
         if is_last and (over := violation(unknowns)) < STEP_VIOLATION:
             return Cycle(t, motion_of(program, unknowns * scale), multipliers, over)
+    # The equations of roots are linear in them, so that steps do not depend on roots, unlike IPOPT.
+    start = completed(program, first) / scale
     # Arguments in the order of ``casadi.nlpsol``; CasADi matrices would take a tenth of the time.
     columns = {k: each[:, None] for k, each in enumerate((start, p, *bounds, *row_bounds))}
     unknowns, rows = np.empty(scale.size), np.empty(multipliers.size)
@@ -340,8 +337,8 @@ def _iterated(
     status, over = str(buffer.stats()["return_status"]), violation(unknowns)
     if status not in USABLE_STATUSES or over >= MAX_CYCLE_VIOLATION:
         raise SolverError(
-            f"replan: the iterations failed at t = {t:g} s, state {x}: {ipopt_words(status)}; "
-            "the inputs of the previous cycle may still be used"
+            f"replan: the iterations failed at t = {t:g} s, state {first[program.layout.first]}: "
+            f"{ipopt_words(status)}; the inputs of the previous cycle may still be used"
         )
     return Cycle(t, motion_of(program, unknowns * scale), rows, over)
 

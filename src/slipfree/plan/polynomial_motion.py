@@ -81,8 +81,8 @@ class PolynomialMotion(NamedTuple):
     def _where(self, at: Array) -> tuple[Index, Array]:
         """Return indices and positions on intervals, 0 to 1; their ends belong to them."""
         ends = self.mesh.ends
-        k = np.clip(np.searchsorted(ends, at - FRACTION_TOLERANCE) - 1, 0, ends.size - 2)
-        return k, (at - ends[k]) / np.diff(ends)[k]
+        k = np.searchsorted(ends[1:-1], at - FRACTION_TOLERANCE)
+        return k, (at - ends[k]) / (ends[k + 1] - ends[k])
 
 
 def motion_of(program: Program, unknowns: Array) -> PolynomialMotion:

@@ -17,9 +17,9 @@ import casadi as ca
 import numpy as np
 from numpy.linalg import LinAlgError
 from scipy import sparse
-from scipy.linalg import solve_banded
+from scipy.linalg.lapack import dgbsv
 
-from slipfree.core.lookups import evaluate, run_buffered
+from slipfree.core.lookups import run_buffered
 from slipfree.core.records import Array, Mask
 from slipfree.plan.transcription import Index, Program, bounded_rates
 
@@ -56,16 +56,16 @@ class StageProgramSolver:
         h, self._in_h = _pattern(in_h, (nodes.size, nodes.size))
         self._solver = ca.conic("step", "qrqp", {"h": h, "a": a}, QP_OPTIONS)
         self._pairs, self._n_rows, size = in_a, rows.size, rows.size + nodes.size
-        # Ordered by time, conditions of optimality have a narrow band of coefficients.
+        # Ordered by time, at a node inputs before states, conditions of optimality have a narrow
+        # band of coefficients.
         begins = (n_nodes + n_own) * np.arange(n + 1)[:, None]
-        at_rows, at_nodes = begins[:-1] + n_nodes + np.arange(n_own), begins + np.arange(n_nodes)
+        at_nodes = begins + (np.arange(n_nodes) - n_x) % n_nodes
+        at_rows = begins[:-1] + n_nodes + np.arange(n_own)
         self._places = np.concatenate([at_rows.ravel(), at_nodes.ravel()])
-        below = np.stack([in_a[0], in_a[1] + rows.size])
-        of, to = np.hstack([below, below[::-1], in_h + rows.size, [np.arange(size)] * 2])
-        self._of, self._is_diagonal = of, np.arange(of.size) >= of.size - size
-        apart = self._places[of] - self._places[to]
-        self._width = int(np.abs(apart).max())
-        self._in_band = (self._width + apart) * size + self._places[to]
+        self._order = np.argsort(self._places)
+        below, diagonal = np.stack([in_a[0], in_a[1] + rows.size]), [np.arange(size)] * 2
+        self._of, self._to = np.hstack([below, below[::-1], in_h + rows.size, diagonal])
+        self._is_diagonal = np.arange(self._of.size) >= self._of.size - size
 
     def solve(
         self, h: Array, gradient: Array, entries: Array, least: Array, most: Array
@@ -76,17 +76,23 @@ class StageProgramSolver:
         rows in the unknowns of their stages, then in the states that follow; ``least`` and ``most``
         are bounds of rows, then of unknowns.
         """
-        size = self._places.size
-        # First without bounds, so that multipliers of rows that are not equations are zero.
-        is_equal = least == most
-        is_given = np.append(~is_equal[: self._n_rows], is_equal[self._n_rows :])
-        values = np.concatenate([entries, entries, h.ravel(), np.ones(size)])
-        values *= is_given[self._of] == self._is_diagonal
-        band = np.bincount(self._in_band, values, (2 * self._width + 1) * size).reshape(-1, size)
-        right, free = np.empty(size), np.append(np.zeros(self._n_rows), -gradient)
-        right[self._places] = np.where(is_equal, least, free)
-        found = solve_banded((self._width, self._width), band, right, check_finite=False)
-        prices, solution = np.split(found[self._places], [self._n_rows])
+        # First without bounds, so that rows that are not equations have no multipliers.
+        n_rows, is_equal = self._n_rows, least == most
+        is_kept, is_given = is_equal.copy(), is_equal.copy()
+        is_kept[n_rows:], is_given[:n_rows] = True, False
+        numbers = (np.cumsum(is_kept[self._order]) - 1)[self._places]
+        counted = is_kept[self._of] & is_kept[self._to] & (is_given[self._of] == self._is_diagonal)
+        of, to = numbers[self._of[counted]], numbers[self._to[counted]]
+        values = np.concatenate([entries, entries, h.ravel(), np.ones(is_equal.size)])[counted]
+        width, size = int(np.abs(of - to).max()), int(is_kept.sum())
+        where = (3 * width + 1) * to + 2 * width + of - to  # with the room that LAPACK needs
+        band = np.bincount(where, values, (3 * width + 1) * size).reshape(size, -1).T
+        right, free = np.empty(size), np.append(np.zeros(n_rows), -gradient)
+        right[numbers[is_kept]] = np.where(is_equal, least, free)[is_kept]
+        *_, found, failed = dgbsv(width, width, band, right, overwrite_ab=True, overwrite_b=True)
+        if failed:
+            raise LinAlgError("the quadratic program without bounds is singular")
+        prices, solution = np.split(np.where(is_kept, found[numbers], 0.0), [n_rows])
         values = np.append(
             np.bincount(self._pairs[0], entries * solution[self._pairs[1]]), solution
         )
@@ -96,7 +102,7 @@ class StageProgramSolver:
         curvatures, vectors = np.linalg.eigh(h)
         h = vectors * np.maximum(curvatures, 0.0)[:, None] @ np.swapaxes(vectors, 1, 2)
         matrices = np.bincount(self._in_h, h.ravel()), np.bincount(self._in_a, entries)
-        (low, lower), (high, upper) = (np.split(side, [self._n_rows]) for side in (least, most))
+        (low, lower), (high, upper) = (np.split(side, [n_rows]) for side in (least, most))
         given = matrices[0], gradient, matrices[1], low, high, lower, upper
         columns = {k: np.asarray(each, dtype=float)[:, None] for k, each in enumerate(given)}
         buffer = run_buffered(self._solver, columns, {0: solution, 2: prices})
@@ -132,16 +138,23 @@ class StepSolver:
         goal[-1] = np.arange(rows.size, program.g_lower.size)
         others = np.hstack([limits.reshape(n, -1), rows[:, n_points:], goal])
         bounded = (np.isfinite(program.lower) | np.isfinite(program.upper))[own[:, n_q:]]
-        self._program, self._sizes, self._inputs = program, (n_x, n_u), inputs
-        self._own, self._equations, self._others = own, equations, others
+        self._sizes, self._own, self._equations, self._others = (n_x, n_u), own, equations, others
         self._bounded = n_q + np.flatnonzero(bounded.any(axis=0))
-        jacobian, hessian = program.jacobian.sparsity_out(1), program.hessian.sparsity_out(0)
+        # All derivatives in one call, whose results follow each other in memory after a zero, which
+        # is the entry of what does not exist.
+        at, prices = [program.problem[name] for name in "xp"], ca.MX.sym("l", program.g_lower.size)
+        of_rows = program.jacobian.call(at, True, False)
+        of_cost = program.gradient.call(at, True, False)
+        of_both = program.hessian.call([*at, 1.0, prices], True, False)
+        results = [of_rows[1], of_rows[0], of_cost[1], *of_both]
+        self._derivatives = ca.Function("derivatives", [*at, prices], results)
+        begins = np.cumsum([1, *(each.nnz() for each in results)]).tolist()
+        self._parts = [slice(*part) for part in pairwise(begins)]
+        jacobian, hessian = of_rows[1].sparsity(), of_both[0].sparsity()
         columns = np.concatenate([later, np.repeat(outer[:, None], degree, axis=1)], axis=2)
         of_equations = _entries(jacobian, equations[..., None], columns[:, :, None])
         # The last column is for the residuals.
-        of_equations = np.append(of_equations, jacobian.nnz() + 1 + equations[..., None], axis=3)
-        self._shape, self._where = of_equations.shape, np.flatnonzero(of_equations)
-        self._of_equations = of_equations.ravel()[self._where]
+        self._of_equations = np.append(of_equations, begins[1] + equations[..., None], axis=3)
         self._of_others = _entries(jacobian, others[..., None], own[:, None])
         # Blocks of equations of a point determine their own unknowns one after the other.
         size = later.shape[2]
@@ -149,18 +162,27 @@ class StepSolver:
         ends = {*np.cumsum([0, *map(len, program.task.dae.labels.alg)]).tolist(), size}
         self._ends = sorted(k for k in ends if k <= size and not is_full[:k, k:].any())
         # Unknowns and pairs of unknowns count on the first interval that contains them.
-        self._counts = _first_occurrences(own)
+        counts = _first_occurrences(own) & (own >= 0)
+        self._of_gradient = np.where(counts, begins[2] + own, 0)
         pairs = np.broadcast_arrays(own[:, :, None], own[:, None])
         entries = _entries(hessian, np.minimum(*pairs), np.maximum(*pairs))
         entries *= _first_occurrences(pairs[0] * (program.scale.size + 1) + pairs[1])
         interval, left, right = entries.nonzero()
         places = own.shape[1] * interval + left, own.shape[1] * interval + right
         self._hessian = sparse.csr_array((entries[entries > 0], places), (own.size, own.size))
-        self._of_hessian = self._hessian.data - 1
+        self._of_hessian = begins[3] - 1 + self._hessian.data
         nodes = np.arange((n + 1) * (n_x + n_u)).reshape(n + 1, -1)
         self._nodes, self._stages = nodes, np.hstack([nodes[:-1], nodes[1:, n_x:]])
         conditions = np.arange(n * (n_x + self._bounded.size + others.shape[1])).reshape(n, -1)
         self._solver = StageProgramSolver(nodes, self._stages, conditions, n_x)
+        # indices of the bounds of rows and nodes among zero, those of unknowns, infinity, and those
+        # of rows; zero for the equations and unknowns, infinity for the rows that do not exist
+        first_row = program.scale.size + 2
+        of_nodes: Index = np.full(nodes.shape, first_row - 1)
+        of_nodes[0, :n_x], of_nodes[:, n_x:] = 1 + layout.first, 1 + inputs
+        of_own, of_limits = 1 + own[:, self._bounded], first_row + others
+        self._of_bounds = np.append(np.hstack([0 * own[:, :n_x], of_own, of_limits]), of_nodes)
+        self._constant = np.tile(np.eye(n_q + 1), (n, 1, 1))
 
     def step(
         self, w: Array, p: Array, bounds: Bounds, row_bounds: Bounds, multipliers: Array
@@ -186,19 +208,17 @@ class StepSolver:
         numpy.linalg.LinAlgError
             If the program has no finite derivatives, or the quadratic program is not solved.
         """
-        program, own, (n_x, n_u) = self._program, self._own, self._sizes
-        at, n, n_q = (w[:, None], p[:, None]), len(own), n_x + 2 * n_u
-        g, jacobian = (each.ravel() for each in evaluate(program.jacobian, *at))
-        gradient = evaluate(program.gradient, *at)[1].ravel()
-        of_hessian = np.ones((1, 1)), multipliers[:, None]
-        second = evaluate(program.hessian, *at, *of_hessian)[0].ravel()
-        if not np.isfinite(sum(each.sum() for each in (g, jacobian, gradient, second))):
+        own, (n_x, n_u) = self._own, self._sizes
+        n, n_q = len(own), n_x + 2 * n_u
+        values = np.empty(self._parts[-1].stop)
+        values[0] = 0.0
+        results = {k: values[part] for k, part in enumerate(self._parts)}
+        run_buffered(self._derivatives, dict(enumerate((w, p, multipliers))), results)
+        if not np.isfinite(values.sum()):
             raise LinAlgError("the derivatives are not finite")
-        jacobian, hessian = np.append(0.0, jacobian), self._hessian
-        hessian.data = second[self._of_hessian]
+        self._hessian.data = values[self._of_hessian]
         # In matrices that map the unknowns of a stage, the last column is constant.
-        rows = np.zeros(self._shape)
-        rows.ravel()[self._where] = np.append(jacobian, g)[self._of_equations]
+        rows = values[self._of_equations]
         motion, points = rows[:, :, :n_x], rows[:, :, n_x:]
         n_v = points.shape[2]
         of_points = inverse_by_blocks(points[..., :n_v], self._ends)
@@ -206,40 +226,34 @@ class StepSolver:
         from_points = motion[..., :n_v]
         motion = (motion[..., n_v:] + from_points @ later).reshape(n, -1, later.shape[3])
         of_motion = np.linalg.inv(motion[:, :, n_q:-1])
-        states = -of_motion @ np.delete(motion, np.s_[n_q:-1], axis=2)
-        same = np.tile(np.eye(n_q + 1), (n, 1, 1))
-        outer = np.concatenate([same[:, :-1], states, same[:, -1:]], axis=1)
+        states = -of_motion @ np.concatenate([motion[..., :n_q], motion[..., -1:]], axis=2)
+        outer = np.concatenate([self._constant[:, :-1], states, self._constant[:, -1:]], axis=1)
         n_o = outer.shape[1] - 1
         inner = (later @ outer[:, None]).reshape(n, -1, n_q + 1)
         whole = np.concatenate([outer[:, :-1], inner], axis=1)
-        curved = (hessian @ whole.reshape(own.size, -1)).reshape(whole.shape)
+        curved = (self._hessian @ whole.reshape(own.size, -1)).reshape(whole.shape)
         curvature = np.swapaxes(whole[..., :n_q], 1, 2) @ curved
-        slopes = np.where(self._counts, np.append(gradient, 0.0)[own], 0.0)
+        slopes = values[self._of_gradient]
         slope = (slopes[:, None] @ whole)[:, 0, :n_q] + curvature[..., n_q]
-        of_others = jacobian[self._of_others]
+        of_others = values[self._of_others]
         others = of_others @ whole
-        others[..., n_q] += np.append(g, 0.0)[self._others]
+        others[..., n_q] += np.append(values[self._parts[1]], 0.0)[self._others]
         conditions = np.concatenate([states[:, -n_x:], whole[:, self._bounded], others], axis=1)
-        sides = []
-        for side, row_side, none in zip(bounds, row_bounds, (-np.inf, np.inf), strict=True):
-            apart = np.append(side - w, 0.0)
-            limits = apart[own[:, self._bounded]], np.append(row_side, none)[self._others]
-            of_rows = np.hstack([np.zeros((n, n_x)), *limits]) - conditions[..., n_q]
-            of_unknowns = np.full(self._nodes.shape, none)
-            of_unknowns[0, :n_x], of_unknowns[:, n_x:] = apart[own[0, :n_x]], apart[self._inputs]
-            sides.append(np.append(of_rows, of_unknowns))
+        constant = np.append(conditions[..., n_q], np.zeros(self._nodes.size))
+        sides = [
+            np.concatenate([[0.0], side - w, [none], row_side])[self._of_bounds] - constant
+            for side, row_side, none in zip(bounds, row_bounds, (-np.inf, np.inf), strict=True)
+        ]
         entries = np.append(conditions[..., :n_q], np.full(n * n_x, -1.0))
         linear = np.asarray(np.bincount(self._stages.ravel(), slope.ravel()), dtype=float)
         solution, prices = self._solver.solve(curvature[..., :n_q], linear, entries, *sides)
-        stages = np.column_stack([solution[self._stages], np.ones(n)])
-        steps = (whole @ stages[..., None])[..., 0]
-        change, found = np.zeros(w.size + 1), np.zeros(g.size + 1)
-        change[own] = steps
+        stages = np.column_stack([solution[self._stages], np.ones(n)])[..., None]
+        change, found = np.zeros(w.size + 1), np.zeros(multipliers.size + 1)
+        change[own] = (whole @ stages)[..., 0]
         # The Lagrangian function is stationary: from the last interval back, for states and points.
         of_bounds, of_rows = np.split(prices.reshape(n, -1)[:, n_x:], [self._bounded.size], axis=1)
-        pulls = slopes + (of_rows[:, None] @ of_others)[:, 0]
+        pulls = slopes + (of_rows[:, None] @ of_others)[:, 0] + (curved @ stages)[..., 0]
         pulls[:, self._bounded] += of_bounds
-        pulls += (hessian @ steps.ravel()).reshape(steps.shape)
         along, price = (pulls[:, None] @ whole)[:, 0], np.zeros(n_x)
         for k in reversed(range(n)):
             pulls[k, n_o - n_x : n_o] += price

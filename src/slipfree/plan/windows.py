@@ -16,9 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Label, with_overview
+from slipfree.core.schema import Positive
 from slipfree.core.trajectory import PLAN, Outcome, Stop, Trajectory, joined
 from slipfree.geometry.path import Path
 from slipfree.plan.ipopt import seconds_left
@@ -98,6 +100,7 @@ class _HandOver(NamedTuple):
     reached: float  # arc length of the nearest point of the route [m]
 
 
+@checked
 @computing
 def plan_windows(
     task: PlanTask,
@@ -105,7 +108,7 @@ def plan_windows(
     start: Trajectory,
     route: Path,
     *,
-    speed: float,
+    speed: Positive,
     length: float,
     overlap: float,
     mesh: Mesh = Mesh(),
@@ -126,10 +129,6 @@ def plan_windows(
 
     If a window has no solution, the plan ends before it, and the stop of ``replay`` names it.
     """
-    if not speed > 0:
-        raise ModelError(
-            f"speed of the windows: expected a positive speed, found {speed:g} m/s; increase it"
-        )
     if not 0 < overlap < length:
         raise ModelError(
             "expected a positive overlap shorter than the window, found an overlap "
