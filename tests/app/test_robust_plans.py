@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 import slipfree as sf
 from helpers.cases import PROBLEMS
-from helpers.commands import invoke, pressing, sets
+from helpers.commands import invoke, pressing, refused, sets
 from slipfree.files import netcdf
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.inputs import recipe_of
@@ -42,6 +42,15 @@ NEAR = ("goal={x=0.3, y=1.0}", "plan.duration=8.0", "plan.intervals=12")
 def one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulate drawn worlds in this process: the problems are small."""
     monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 1)
+
+
+def test_a_command_leaves_the_result_to_another_one_that_runs(tmp_path):
+    file = tmp_path / "robust.nc"
+    file.write_bytes(b"of the other command")
+    with plan_search.draw_folder(build(sf.load_problem(HILLS, FLAT)), file):
+        words = refused("run", HILLS, "-o", file, "--no-draw", *sets(*FLAT))
+    assert "found one in use; wait until the other robust plan ends" in words
+    assert file.read_bytes() == b"of the other command"
 
 
 def test_gains_of_the_inputs_tighten_the_goal_by_their_quantile(tmp_path, monkeypatch):

@@ -202,8 +202,8 @@ class Parts(Generic[D]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the log, and remove it after an error without any part with a file."""
-        if error is not None and self._ending and not self._offsets:
+        """Close the log, and remove it after an error without any finished part."""
+        if error is not None and not self._offsets:
             self.remove()
         self.close()
 

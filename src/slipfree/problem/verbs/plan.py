@@ -544,15 +544,19 @@ class PlanVerb(base.DriveVerb):
             run, arrays = with_plan(long, long.replay)
             checks = {"by_friction": lambda run: run.with_facts(_by_friction(setup, long))}
             return base.with_diagnostics(run, checks, watch, arrays), arrays
-        watch.begin("setting up the search")
-        plan = plan_search.find_plan(setup, guesses, resume, progress, keep=keep)
-        tested = plan_search.Tested(plan)
-        if spec.plan.robust is not None and plan.accurate:
-            # kept in case the search for a robust plan is interrupted
-            keep(replace(plan, replay=replace(plan.replay, stop=plan_search.UNTESTED)))
-            tested = plan_search.make_robust(setup, plan, progress, watch)
-        elif spec.plan.guarantee is not None and plan.accurate:
-            tested = plan_search.make_guaranteed(setup, plan, spec.plan.guarantee, progress)
+        # locked before a result is written, which may be that of another process
+        with plan_search.draw_folder(setup, watch.beside) as parts:
+            watch.begin("setting up the search")
+            plan = plan_search.find_plan(setup, guesses, resume, progress, keep=keep)
+            tested = plan_search.Tested(plan)
+            if spec.plan.robust is not None and plan.accurate:
+                # kept in case the search for a robust plan is interrupted
+                keep(replace(plan, replay=replace(plan.replay, stop=plan_search.UNTESTED)))
+                tested = plan_search.make_robust(setup, plan, progress, watch, parts)
+            elif spec.plan.guarantee is not None and plan.accurate:
+                tested = plan_search.make_guaranteed(setup, plan, spec.plan.guarantee, progress)
+            elif parts is not None:
+                parts.remove()
         plan = tested.plan
         run, stop = plan.replay, tested.stop or with_offer(setup, plan, guesses)
         if stop is not None and (tested.stop or not plan.success):

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import cache, lru_cache, partial
 from hashlib import sha256
 from itertools import count
 from operator import attrgetter, itemgetter
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -308,6 +309,15 @@ class DrawFolder(ProblemParts[tuple[DisturbedRun, ...]]):
         )
 
 
+def draw_folder(setup: Planning, beside: Path | None) -> AbstractContextManager[DrawFolder | None]:
+    """Return the folder beside an output with the simulations of a robust plan, if it has one."""
+    robust = setup.spec.plan.robust
+    if robust is None or beside is None:
+        return nullcontext()
+    size = robust.final_draws + MAX_ROUNDS * robust.draws
+    return DrawFolder(beside, "robust plan", size, setup.problem)
+
+
 def solve_tightened(
     setup: Planning, tightening: Tightening, before: Plan, progress: PlanProgress
 ) -> Plan:
@@ -321,11 +331,17 @@ def solve_tightened(
     return replace(solved, stages=(*before.stages, *solved.stages))
 
 
-def make_robust(setup: Planning, first: Plan, progress: PlanProgress, watch: Watch) -> Tested:
+def make_robust(
+    setup: Planning,
+    first: Plan,
+    progress: PlanProgress,
+    watch: Watch,
+    parts: DrawFolder | None = None,
+) -> Tested:
     """Tighten the limits of a plan until it holds in the required share of drawn worlds.
 
-    After Ctrl-C, the last accurate plan is returned, with an interruption as its stop. The line of
-    ``watch`` is called several times per second.
+    ``parts`` keeps the simulations. After Ctrl-C, the last accurate plan is returned, with an
+    interruption as its stop. The line of ``watch`` is called several times per second.
     """
     source, latest = recipe_of(setup.problem, run=next(RUNS)), first
     robust = setup.spec.plan.robust or Robust()
@@ -344,15 +360,7 @@ def make_robust(setup: Planning, first: Plan, progress: PlanProgress, watch: Wat
 
     total = 0
     try:
-        with ExitStack() as stack:
-            parts = None
-            if watch.beside is not None:
-                size = robust.final_draws + MAX_ROUNDS * robust.draws
-                parts = DrawFolder(watch.beside, "robust plan", size, setup.problem)
-                stack.enter_context(parts)
-            run = stack.enter_context(
-                study(replay_draw, parts, robust.draws, watch=PartsWatch(poll))
-            )
+        with study(replay_draw, parts, robust.draws, watch=PartsWatch(poll)) as run:
 
             def replay(plans: Sequence[Plan], draws: Sequence[Draw]) -> list[Replays]:
                 """Return motions of plans in the worlds of draws; stored ones are not repeated."""
