@@ -329,6 +329,7 @@ def test_rows_and_windows_are_left_out_by_reason() -> None:
     rows[50:60, 6], rows[50:60, 3] = 3.0, 100.0
     rows[205, 3] += 5
     rows[300:, 3:5] += 4
+    rows[250:280, 3:5] = rows[250, 3:5]
     text = table(np.delete(rows, np.arange(102, 119), axis=0), HEAD + ",sigma")
     text = text.replace(f",{rows[350, 5]:.9f},", ",nan,")
     _, words = read(text, 'error = "sigma"')
@@ -337,6 +338,7 @@ def test_rows_and_windows_are_left_out_by_reason() -> None:
         "10 rows left out: stated error above 0.1 m",
         "1 rows left out: position that jumps away and back",
         "inputs not given for at most 1.8 s, from t = 10.1 s",
+        "29 at a position that is repeated while the wheels turn",
         "2 gaps or leaps of the position",
     ):
         assert part in words, words

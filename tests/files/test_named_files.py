@@ -26,6 +26,7 @@ KINDS = {
     "loop": "found that it cannot be read (Too many levels of symbolic links)",
     "folder": "found a folder, not a regular file; check the name",
     "long": "found that it cannot be read (File name too long)",
+    "home": "check the name: '~' is not replaced, write the folders in full with '/'",
 }
 
 
@@ -60,6 +61,8 @@ def _spoiled(kind, ending):
         path.symlink_to(path)
     elif kind == "folder":
         path.mkdir()
+    elif kind == "home":
+        path = Path(f"~/bad{ending}")
     else:
         path = Path(f"{'n' * 5000}{ending}")
     return str(path)

@@ -120,6 +120,8 @@ def _unreadable(path: Path, expected: str, reason: object) -> DataError:
     if isinstance(reason, ValueError) or reason in [os.strerror(code) for code in WRONG_NAME]:
         is_url = str(path).startswith(("http:", "https:"))
         remedy = "download it, and name the file" if is_url else "check the name"
+        if odd := re.search(r"(?:^|/)~|\$|\\", str(path)):
+            remedy += f": {odd[0][-1]!r} is not replaced, write the folders in full with '/'"
     elif reason == os.strerror(errno.EACCES):
         remedy = "check the permissions of the file and its folders"
     else:

@@ -624,6 +624,12 @@ class _Reader(NamedTuple):
         numbers = (at_even - at_even[0]) // part
         speed = np.mean(signals, axis=0)
         bad = self._bad(path, place, velocity, step)
+        # a receiver without a fix repeats its last position
+        number = np.append(0, np.cumsum(np.diff(place) != 0))
+        count, turning = np.bincount(number), np.abs(speed)
+        mean = np.bincount(number, turning) / count
+        is_frozen = (count * step > longest_gap(t)) & (mean > turning.mean() / 2)
+        bad["at a position that is repeated while the wheels turn"] = is_frozen[number]
         vehicle, names, driven = self.inputs.vehicle, self.inputs.names, self.inputs.driven
         signal_of = {
             name: int(place > 0) if self.inputs.is_by_sides else names.index(f"{name}_rate")
