@@ -728,7 +728,8 @@ def relax(evaluate: Evaluator, states: Array) -> Mask:
     """Relax states at rest to their equilibrium; return which have reached it.
 
     Implicit steps follow the relaxation; they grow while they are small, and end as Newton's
-    method.
+    method. A vehicle is at rest if a step of more than a second changes its pose by less than
+    `AT_REST`.
     """
     dae, rows = evaluate.graphs.dae, evaluate.graphs.rows
     relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)

@@ -459,7 +459,7 @@ def _sensed(climber: Vehicle, model: Dae, section: Profile | None) -> Sensed:
         if section is None:
             raise ModelError(
                 "step-climbing: expected solids on a level ground for directions = 'contact', "
-                "found another ground; use directions = 'sensors'"
+                "found none; use directions = 'sensors'"
             )
         return directions(section, climber.wheels[0].radius, axles)
 

@@ -255,7 +255,10 @@ def _array(hint: Any, value: Any, place: str) -> Any:
 
 
 def _sequence(hint: Any, value: Any, place: str, context: _Context) -> Any:
-    """Return the items of a tuple or sequence, checked and converted."""
+    """Return the items of a tuple or sequence, checked and converted.
+
+    ``hint`` is the annotation, ``place`` the name of the value in messages.
+    """
     kind, parts = get_origin(hint), get_args(hint)
     is_record = parts[0] is object  # tuple[object, ...]: a record of a model, not converted
     if isinstance(value, np.ndarray) and not is_record:

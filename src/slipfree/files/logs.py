@@ -97,11 +97,13 @@ def read_log(
 ) -> MotionLog:
     """Return a log as text, as MCAP or as a result of slipfree.
 
-    ``columns`` are as in `read_columns`, with the time ``t``. Rows without a pose, or with a stated
-    ``error`` of the position above ``max_error`` [m], are left out. Inputs are held until they are
-    given again, for at most ``timeout`` [s], and zero after it; with ``is_linear``, they are linear
-    between rows that are not farther apart than a gap. DataError is raised for times that
-    decrease, jump or belong to two poses, and for positions that alternate between two drives.
+    ``columns``, ``units`` and ``where`` are as in `read_columns`, with the time ``t``; ``inputs``
+    are the names of columns that are inputs, ``kind`` is that of the file in messages. Rows without
+    a pose, or with a stated ``error`` of the position above ``max_error`` [m], are left out. Inputs
+    are held until they are given again, for at most ``timeout`` [s], and zero after it; with
+    ``is_linear``, they are linear between rows that are not farther apart than a gap. DataError is
+    raised for times that decrease, jump or belong to two poses, and for positions that alternate
+    between two drives.
     """
     names = dict(columns) if isinstance(columns, Mapping) else {name: name for name in columns}
     if path.suffix == ".nc":

@@ -591,7 +591,11 @@ def record_of(
     omitted: tuple[str, ...] = (),
     meaning: str = "",
 ) -> type[Any]:
-    """Return the record of a dataclass or function, with the keys of ``base`` before its own."""
+    """Return the record of a dataclass or function, with the keys of ``base`` before its own.
+
+    The fields or parameters ``omitted`` are no keys; ``meaning`` replaces the first line of the
+    docstring as the meaning of the table.
+    """
     keys: dict[str, Any] = {}
     for key in keys_of(kind):
         if key.name not in omitted:

@@ -116,8 +116,9 @@ class StepSolver:
 
     The unknowns of an interval are, in this order: states at its beginning, inputs, inputs that
     follow, states at its points, algebraic unknowns and roots at its points. The first three are
-    those of a stage of the quadratic program. An index of -1 stands for an unknown or a row that
-    does not exist.
+    those of a stage of the quadratic program; the others are eliminated by the equations of the
+    interval (condensing), and follow from the solution. An index of -1 stands for an unknown or a
+    row that does not exist.
     """
 
     def __init__(self, program: Program) -> None:

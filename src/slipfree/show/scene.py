@@ -641,7 +641,10 @@ def _pose_layer(drawn: Grid, drive: Driven, window: Window) -> Layer:
 def _actor(
     drive: Driven, run: Trajectory, name: str, k: int, origin: Array, ghost: bool = False
 ) -> Actor:
-    """Return a vehicle with its arrows and values; those of a ghost are left out."""
+    """Return a vehicle with its arrows and values; those of a ghost are left out.
+
+    ``k`` is the number of its colour, ``origin`` that of the scene in map coordinates [m].
+    """
     vehicle, color = drive.vehicle, rgb(style.PALETTE[k % len(style.PALETTE)])
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
     parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)

@@ -243,7 +243,11 @@ def _count_runs(
     values: Mapping[str, Any],
     intervals: int,
 ) -> int:
-    """Return the number of runs; raise ModelError for shapes that do not fit each other."""
+    """Return the number of runs; raise ModelError for shapes that do not fit each other.
+
+    ``parameters`` and ``states`` are numbers or arrays (n_runs,) by name, or starts as a list;
+    ``values`` are inputs by name, for a number of ``intervals`` between samples.
+    """
     counts = dict[str, int]()
     arrays = {f"p[{name!r}]": array for name, array in parameters.items()}
     if isinstance(states, list):

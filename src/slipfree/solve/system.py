@@ -137,7 +137,8 @@ def motion_equations(
 def scaled_jacobian(jacobian: ca.Function, x_size: Array, m_size: Array) -> ca.Function:
     """Return the Jacobian of `motion_equations` for states and unknowns divided by their sizes.
 
-    Entries are multiplied by one number each, since products with diagonal matrices take longer.
+    ``x_size`` and ``m_size`` are the sizes of states and unknowns. Entries are multiplied by one
+    number each, since products with diagonal matrices take longer.
     """
     t, x, m, p, u = jacobian.mx_in()
     one = np.ones(m_size.size)  # residuals have no unit

@@ -250,7 +250,10 @@ def _check_keys(axes: Sequence[Varied], settings: Sequence[str]) -> None:
 
 
 def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
-    """Return equally spaced numbers as text; integers if the ends and the step are integers."""
+    """Return equally spaced numbers as text; integers if the ends and the step are integers.
+
+    ``text`` is the option, for messages; ``first``, ``last`` and ``count`` are its parts.
+    """
     low, high, n = float(first), float(last), int(count)
     if not 2 <= n <= MAX_RUNS:
         raise DataError(

@@ -75,7 +75,11 @@ def _parse(text: str) -> ast.expr:
 
 
 def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth: int) -> Any:
-    """Return the value of a node of a formula; ModelError if formulas do not support it."""
+    """Return the value of a node of a formula; ModelError if formulas do not support it.
+
+    ``text`` is the whole formula, for messages; ``values`` are those of its names; ``depth`` is the
+    number of levels that are still allowed.
+    """
     if depth == 0:
         raise ModelError(
             f"formula {text!r}: expected at most {MAX_DEPTH} nested levels, found more; simplify it"

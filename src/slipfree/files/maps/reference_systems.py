@@ -135,7 +135,9 @@ def from_degrees(crs: str, longitude: float, latitude: float) -> tuple[float, fl
 def scale_facts(crs: Any, x: float, y: float, command: str) -> tuple[tuple[str, str], ...]:
     """Return the scale of a projected map as facts; refuse maps with an error of more than 1 %.
 
-    In the Mercator projection of map tiles, one metre of the map is cos(latitude) metres.
+    ``x``, ``y`` is the middle of the map, at which the scale is measured; ``command`` is the
+    program of the remedy. In the Mercator projection of map tiles, one metre of the map is
+    cos(latitude) metres.
     """
     if crs is None or not crs.is_projected:
         return ()
