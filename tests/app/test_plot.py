@@ -17,6 +17,7 @@ from matplotlib.colors import to_rgb, to_rgba
 from matplotlib.figure import Figure
 
 import slipfree as sf
+from helpers.commands import refuses
 from helpers.figures import assert_inside, moved
 from slipfree.core.facts import Fact
 from slipfree.core.records import Label
@@ -162,15 +163,8 @@ def test_ground_is_a_map_of_equal_scales(grid, ax):
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("east $x$ [m]", "north $y$ [m]")
     heights = heights_of(ax)
     assert heights.shape == (motion_figures.HEATMAP, motion_figures.HEATMAP)
-    assert heights.min() == pytest.approx(grid.z.min(), abs=1e-3)
-
-
-def test_heights_lie_where_they_belong(ax):
-    x, y = np.linspace(0, 10, 11), np.linspace(0, 5, 6)
-    motion_figures.ground(sf.Grid(x, y, x[:, None] + 100 * y[None, :]), ax)
-    heights = heights_of(ax)
-    assert heights[0, -1] == pytest.approx(10)  # south east
-    assert heights[-1, 0] == pytest.approx(500)  # north west
+    assert heights[0, -1] == pytest.approx(grid.z[-1, 0])  # south east
+    assert heights[-1, 0] == pytest.approx(grid.z[0, -1])  # north west
 
 
 def test_path_marks_start_and_end(run, ax):
@@ -193,26 +187,13 @@ def test_arrows_point_the_way(run, ax, way, angle):
 
 
 def test_tilts_and_moving_joints_are_drawn_with_degrees(run, grid):
-    figure = drawn(figures(run, grid, "tilts")["tilts"])
-    (ax,) = figure.axes
-    assert labels(ax) == ["tilt right", "tilt left", "steer"]
+    rocking = changed(run, "rocker", np.sin(run.t))
+    (ax,) = drawn(figures(changed(rocking, "rocker_stop", run.t), grid, "tilts")["tilts"]).axes
+    assert labels(ax) == ["tilt right", "tilt left", "steer", "rocker"]  # not its stop
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("time $t$ [s]", "angle [rad]")
     second = ax.child_axes[0]
     assert second.get_ylabel() == "[deg]"
     assert second.get_ylim() == pytest.approx(np.rad2deg(ax.get_ylim()))
-
-
-def test_other_joints_are_found_but_not_their_stops(stopped, grid):
-    assert "tilt_left_stop" in stopped
-    stopped = changed(stopped, "rocker", np.sin(stopped.t))
-    (ax,) = figures(stopped, grid, "tilts")["tilts"].axes
-    assert labels(ax) == ["tilt right", "tilt left", "steer", "rocker"]
-
-
-def test_a_vehicle_without_joints_has_no_figure_of_them(run, grid):
-    columns = {k: c for k, c in run.columns.items() if not k.startswith(("tilt_", "steer"))}
-    found = motion_figures.motion_plots(replace(run, columns=columns), grid)
-    assert "tilts" not in [plot.name for plot in found]
 
 
 def test_elevation_is_over_the_distance_driven(run, ax):
@@ -222,14 +203,6 @@ def test_elevation_is_over_the_distance_driven(run, ax):
     np.testing.assert_array_equal(contact.get_ydata(), run["contact_z", "right"])
     expected = sf.Analytic(hills).elevation(run["x"], run["y"])
     np.testing.assert_array_equal(below.get_ydata(), expected)
-
-
-def test_slope_is_that_of_a_ramp(run, ax):
-    x, y = np.linspace(-5, 5, 21), np.linspace(-4, 4, 17)
-    ramp = sf.Bicubic(sf.Grid(x, y, 0.3 * y + 0 * x[:, None]))
-    motion_figures.slope(changed(run, "heading", np.zeros(run.t.size)), ramp, ax)
-    np.testing.assert_allclose(ax.lines[0].get_ydata(), np.arctan(0.3), atol=1e-12)
-    assert ax.get_ylabel() == "slope [rad]"
 
 
 def analytic_slope(run: Trajectory) -> np.ndarray:
@@ -242,6 +215,9 @@ def analytic_slope(run: Trajectory) -> np.ndarray:
 def test_slope_is_that_of_a_formula_to_rounding(run, grid, ax):
     motion_figures.slope(run, sf.Analytic(hills), ax)
     np.testing.assert_allclose(ax.lines[0].get_ydata(), analytic_slope(run), atol=1e-15)
+    motion_figures.slope(run, sf.Bicubic(grid), ax)
+    np.testing.assert_allclose(ax.lines[2].get_ydata(), analytic_slope(run), atol=1e-4)
+    assert ax.get_ylabel() == "slope [rad]"
     lower = figures(run, grid, "elevation", surface=sf.Analytic(hills))["elevation"].axes[1]
     np.testing.assert_allclose(lower.lines[0].get_ydata(), analytic_slope(run), atol=1e-15)
 
@@ -317,6 +293,7 @@ def test_figures_say_why_a_motion_stopped_and_nothing_reaches_over_the_edge(stop
         texts = [*figure.texts, *(a.xaxis.label for a in figure.axes)]
         texts += [a.yaxis.label for a in places] + [a.title for a in figure.axes]
         texts += [text for a in figure.axes for text in a.texts if text.get_visible()]
+        texts += [text for a in figure.axes if (own := a.get_legend()) for text in own.get_texts()]
         assert_inside(figure, texts)
     assert dict(mpl.rcParams) == settings
 
@@ -335,6 +312,8 @@ def test_figures_of_a_motion_depend_on_what_it_has(run, grid):
 
     assert names(run) == NAMES  # neither slip above rounding nor loads
     assert "slip" in names(changed(run, "slip_across", np.full((run.t.size, 3), 1e-3)))
+    columns = {k: c for k, c in run.columns.items() if not k.startswith(("tilt_", "steer"))}
+    assert "tilts" not in names(replace(run, columns=columns))
 
 
 @pytest.mark.slow
@@ -346,21 +325,14 @@ def test_large_map_coordinates_count_from_a_round_one(run, grid):
     assert axes.get_ylabel() == "north $y$ - 4512000 [m]"
 
 
-def test_unknown_formats_are_refused_before_anything_is_drawn(run, grid, tmp_path):
-    with pytest.raises(sf.ModelError, match=r"formats: expected some of .*png.*, found 'gifx'"):
-        save_figures(run, grid, tmp_path / "none", formats=("gifx",))
-    assert not (tmp_path / "none").exists()
-
-
-def test_missing_quantities_are_named(run, grid):
-    columns = {k: c for k, c in run.columns.items() if k != "contact_z"}
-    with pytest.raises(sf.ModelError, match="quantity of the trajectory, found 'contact_z'"):
-        figures(replace(run, columns=columns), grid)
-
-
-def test_a_motion_on_another_ground_is_refused(run, grid):
-    with pytest.raises(sf.ModelError, match=r"expected a motion on this ground, x from -5 to 5 m"):
-        figures(moved(run, x=100.0), grid)
+def test_what_cannot_be_drawn_is_refused(run, grid, tmp_path):
+    message = r"formats: expected some of .*png.*, found 'gifx'"
+    refuses(sf.ModelError, message, save_figures, run, grid, tmp_path / "none", formats=("gifx",))
+    assert not (tmp_path / "none").exists()  # before anything is drawn
+    bare = replace(run, columns={k: c for k, c in run.columns.items() if k != "contact_z"})
+    refuses(sf.ModelError, "quantity of the trajectory, found 'contact_z'", figures, bare, grid)
+    message = r"expected a motion on this ground, x from -5 to 5 m"
+    refuses(sf.ModelError, message, figures, moved(run, x=100.0), grid)
 
 
 def test_forces_have_a_line_a_wheel(loaded, grid):
@@ -444,12 +416,26 @@ def test_tracks_are_coloured_by_utilisation(loaded, ax):
 
 def test_energies_and_powers_have_panels_of_their_own(loaded, grid):
     energy, power = figures(loaded, grid, "energy")["energy"].axes
+    for legend in (energy.get_legend(), power.get_legend()):  # one would have a colour twice
+        assert len({line.get_color() for line in legend.get_lines()}) == 2
     assert labels(energy) == ["work", "potential energy"]
     assert labels(power) == ["power", "dissipation"]
     s = np.linspace(0, 1, loaded.t.size)
     for line, expected in zip(energy.lines, (9 * s, 4 * s), strict=False):
         np.testing.assert_allclose(line.get_ydata(), expected, atol=1e-12)
     assert energy.get_ylabel().split() == ["energy", "since", "the", "start", "[J]"]
+
+
+# linear light as seen without green and without red cones (Machado et al., 2009)
+NO_GREEN = [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]]
+NO_RED = [[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]]
+
+
+@pytest.mark.parametrize("seen", [NO_GREEN, NO_RED])
+def test_the_colour_blind_tell_risks_half_the_scale_apart(seen):
+    light = style.RISK(np.linspace(0, 1, 41))[:, :3] ** 2.2 @ np.transpose(seen)
+    colors = np.clip(light, 0, 1) ** (1 / 2.2)
+    assert min(np.linalg.norm(colors[k + 20 :] - colors[k], axis=1).min() for k in range(21)) > 0.2
 
 
 # The figures of plans: cost map, blocked nodes, routes, and planned quantities
@@ -538,6 +524,7 @@ def test_an_initial_guess_is_drawn_under_the_plan(run_plan, grid_plan, layers):
     np.testing.assert_array_equal(lines["initial guess"].get_xydata(), guess)
     assert lines["initial guess"].zorder < lines["planned motion"].zorder
     assert lines["initial guess"].get_linewidth() < lines["planned motion"].get_linewidth()
+    assert lines["initial guess"].get_path_effects()  # a white edge on dark areas
 
 
 def test_places_are_marked_by_name(run_plan, ax):
@@ -545,19 +532,17 @@ def test_places_are_marked_by_name(run_plan, ax):
     assert labels(ax) == ["planned motion", "start", "way-point 1", "goal"]
     np.testing.assert_array_equal(ax.lines[0].get_xdata(), run_plan["x"])
     assert ax.lines[-1].get_xydata()[0] == pytest.approx(GOAL[1:])
-
-
-def test_a_range_is_drawn_as_an_area(run_plan, ax):
     area = (10.0, 14.0, 20.0, 26.0)
-    plan_figures.motion(run_plan, (START, GOAL), ax, {"goal": area})
-    assert {*labels(ax)} == {"planned motion", "start", "goal"}
+    plan_figures.motion(run_plan, (GOAL,), ax, {"goal": area})  # as a range
     (patch,) = ax.patches
     assert (*patch.get_xy(), patch.get_width(), patch.get_height()) == (10.0, 20.0, 4.0, 6.0)
 
 
+MARKS = {"keep_out": [Region.disc(6.5, 8.0, 0.2)], "places": (START, GOAL)}
+
+
 def test_map_shows_regions_and_places_of_a_plan(run_plan, grid_plan):
-    marks = {"keep_out": [Region.disc(6.5, 8.0, 0.2)], "places": (START, GOAL)}
-    found = motion_figures.motion_plots(run_plan, grid_plan, marks=marks)
+    found = motion_figures.motion_plots(run_plan, grid_plan, marks=MARKS)
     for ax in plots.draw(found[:1])["map"].axes[:1]:
         (goal,) = (line for line in ax.lines if line.get_label() == "goal")
         assert goal.get_xydata()[0] == pytest.approx(GOAL[1:])
@@ -566,9 +551,8 @@ def test_map_shows_regions_and_places_of_a_plan(run_plan, grid_plan):
 
 
 def test_paths_that_follow_a_plan_are_above_it(run_plan, grid_plan):
-    marks = {"keep_out": [Region.disc(6.5, 8.0, 0.2)], "places": (START, GOAL)}
     late = moved(run_plan, x=0.1)
-    plot = plan_figures.tracking_plot("t", run_plan, [("replan", late)], grid_plan, marks)
+    plot = plan_figures.tracking_plot("t", run_plan, [("replan", late)], grid_plan, MARKS)
     left, right = plots.draw([plot])["t"].axes
     lines = {line.get_label(): line for line in left.lines}
     (follower,) = (each for each in left.lines if each.get_xdata()[0] == late["x"][0])
@@ -588,24 +572,22 @@ def test_room_is_the_distance_less_what_the_wheels_reach(run_plan, layers, ax):
 
 
 def test_figures_of_a_plan_are_complete_and_fit(run_plan, grid_plan, layers):
-    options = {"places": (START, GOAL), "found": [way()], "bounds": BOUNDS, "limits": LIMITS}
-    drawn = figures_plan(run_plan, grid_plan, layers, **options)
+    columns = {f"steer_rear_right_{k}_rate": run_plan.columns["steer_rate"] for k in range(9)}
+    many = replace(run_plan, columns={**run_plan.columns, **columns})
+    bounds = BOUNDS | dict.fromkeys(columns, (-np.inf, np.inf))
+    options = {"places": (START, GOAL), "found": [way()], "bounds": bounds, "limits": LIMITS}
+    drawn = figures_plan(many, grid_plan, layers, **options)
     assert list(drawn) == ["plan", "traversability"]
     assert len(drawn["plan"].axes) == 1 + 2 + 1
     note = " ".join(text.get_text() for text in drawn["plan"].texts).replace("\n", " ")
     assert "deviates from the plan by x 0.12 mm, heading 0.0017 deg." in note
+    for ax in drawn["plan"].axes[1:]:
+        low, high = ax.get_ylim()
+        limits = [line.get_ydata()[0] for line in ax.lines if line.get_label() == "limit"]
+        assert low < min(limits) <= max(limits) < high
     for figure in drawn.values():
         figure.draw_without_rendering()
         axes = [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]
         assert_inside(figure, [*figure.texts, *(axis.label for axis in axes)])
-
-
-@pytest.mark.slow
-def test_labels_of_the_panels_do_not_meet(run_plan, grid_plan, layers):
-    columns = {f"steer_rear_right_{k}_rate": run_plan.columns["steer_rate"] for k in range(9)}
-    many = replace(run_plan, columns={**run_plan.columns, **columns})
-    bounds = BOUNDS | dict.fromkeys(columns, (-np.inf, np.inf))
-    figure = figures_plan(many, grid_plan, layers, bounds=bounds, limits={})["plan"]
-    figure.draw_without_rendering()
-    boxes = [ax.yaxis.label.get_window_extent() for ax in figure.axes]
+    boxes = [ax.yaxis.label.get_window_extent() for ax in drawn["plan"].axes]
     assert all(upper.y0 > lower.y1 for upper, lower in pairwise(boxes))

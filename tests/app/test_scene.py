@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import slipfree as sf
 from helpers.cases import DATA, PROBLEMS
-from helpers.commands import invoke, refused, sets, shown
+from helpers.commands import invoke, refused, refuses, sets, shown
 from helpers.figures import moved
 from helpers.problem_files import rough_ground
 from slipfree.core.trajectory import Stop
@@ -24,7 +24,7 @@ from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip, part_poses, wheel_poses
 from slipfree.show import ground_drawing
 from slipfree.show import scene as scenes
-from slipfree.show.film import draw_faces, film_writer, picture, projected
+from slipfree.show.film import Film, draw_faces, film_writer, picture, projected
 from slipfree.show.html_page import with_legend
 from slipfree.show.meshes import MOST, clipped, extruded, plate, rod, roller_axles, spokes
 from slipfree.show.scene import Driven, drive_scene
@@ -210,15 +210,13 @@ def test_runs_share_a_ground_and_say_where_it_differs(drive: Driven) -> None:
     assert scene.warnings == (said,)
     assert said in with_legend("<body></body>", scene, "title", "height", "", [])
     radius = drive.vehicle.wheels[0].radius
-    with pytest.raises(sf.ModelError, match=r"differs from that of hills by at most"):
-        drive_scene([drive, lifted(drive, 1.01 * radius)])
+    high = lifted(drive, 1.01 * radius)
+    refuses(sf.ModelError, "differs from that of hills by at most", drive_scene, [drive, high])
     grid = drive.terrain.grid
     far = sf.Bicubic(sf.Grid(grid.x + 100, grid.y, grid.z))
-    with pytest.raises(
-        sf.ModelError,
-        match="hills: expected a motion on the ground of other, found one that leaves it",
-    ):
-        drive_scene([drive._replace(name="other", terrain=far, run=moved(drive.run, x=100)), drive])
+    away = drive._replace(name="other", terrain=far, run=moved(drive.run, x=100))
+    message = "hills: expected a motion on the ground of other, found one that leaves it"
+    refuses(sf.ModelError, message, drive_scene, [away, drive])
 
 
 def lifted(drive: Driven, by: float) -> Driven:
@@ -362,20 +360,38 @@ def test_places_are_checked_before_anything_is_drawn(
 
 def test_pictures_have_fine_ground_a_scale_and_paths_on_the_ground(drive: Driven) -> None:
     """As far as the ground is drawn, which is finer than in films."""
-    scene = drive_scene([drive])
+    scene = drive_scene([drive._replace(places=(("goal", 0.5, 1.0),))])
     ax = picture(scene, "title").make().axes[0]
     (ground,) = (each for each in ax.collections if each.get_zorder() == 0)
     assert len(ground.get_paths()) == 89**2
     assert ground.get_clip_on()
-    (bar,), (words,) = ax.lines, ax.texts
+    (bar,), (words, goal) = ax.lines, ax.texts
+    *_, posts = (each for each in ax.collections if each.get_zorder() == 1)
+    assert_allclose(goal.get_position(), posts.get_segments()[0][1])
     assert words.get_text() == f"{np.ptp(bar.get_xdata()):g} m"
     body = scene.actors[0].bodies[0]
     body = body._replace(origins=body.origins + np.linspace(0, 90, len(body.origins))[:, None])
     away = scene._replace(actors=(scene.actors[0]._replace(bodies=(body,)),))
     ax = picture(away, "title", 0.0).make().axes[0]
-    edge, path = (each for each in ax.collections if each.get_zorder() == 1)
+    edge, path, _ = (each for each in ax.collections if each.get_zorder() == 1)
     assert 0 < np.nanmax(np.abs(edge.get_segments()[0])) < 2 * ax.get_xlim()[1]
     assert len(path.get_segments()) == len(path.get_colors()) == drive.run.t.size - 1
+
+
+def test_plots_say_where_they_end_and_their_lines_differ(drive: Driven) -> None:
+    """In pages and films; lines at the end of an axis are not cut."""
+    (actor,), far = drive_scene([drive]).actors, np.full((drive.run.t.size, 6), 2.0)
+    values = {"clearance": far, "slip": far, "tip_over_margin": far[:, 0]}
+    wheels = tuple(f"wheel_{k}" for k in range(6))
+    scene = drive_scene([drive])._replace(actors=(actor._replace(wheels=wheels, values=values),))
+    html = with_legend("<body></body>", scene, "title", "height", "", [])
+    assert "clearance, 0 to 1 m or more:" in html
+    assert "tip-over margin, 0 to " in html
+    curves = [curve for each in scene.plotted for curve in scene.curves(each)]
+    assert len({color for _, color, *_ in curves}) == 7
+    axes = Film(Figure(layout="constrained"), scene, "title", 1.0).canvas.figure.axes
+    shown = [ax for ax in axes if ax.get_xlabel().endswith("over time [s]")]
+    assert all(line.get_ydata().max() < ax.get_ylim()[1] for ax in shown for line in ax.lines[:-1])
 
 
 def test_an_interrupted_film_leaves_nothing(
@@ -398,8 +414,7 @@ def test_an_interrupted_film_leaves_nothing(
 
 def test_without_ffmpeg_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FFMpegWriter, "isAvailable", classmethod(lambda _: False))
-    with pytest.raises(sf.DataError, match=r"need the program ffmpeg, found none; install it"):
-        film_writer(Path("film.mp4"), 20)
+    refuses(sf.DataError, "program ffmpeg, found none; install it", film_writer, Path("f.mp4"), 20)
 
 
 def test_holes_are_drawn_empty(drive: Driven) -> None:

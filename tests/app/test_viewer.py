@@ -25,7 +25,9 @@ from helpers.chromium import headless_chromium
 from helpers.commands import invoke, refused, refuses, sets, shown
 from helpers.problem_files import rough_ground
 from slipfree.core.errors import DataError
-from slipfree.show.viewer import recorder, stop
+from slipfree.show import html_page, viewer
+from slipfree.show.scene import drive_scene
+from slipfree.show.viewer import recorder, stop, tracks
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 
@@ -200,10 +202,13 @@ def check_plots(driver: Any) -> None:
         const {textContent} = plot.previousElementSibling.querySelector("b");
         return [k / points.length - arguments[0], textContent - points[k].y];
       })), 1500)"""
-    for share in (0.25, 0.75):
+
+    def is_shown(share: float) -> bool:
         plots = driver.execute_async_script(run, share)
-        assert len(plots) >= 2
-        np.testing.assert_allclose(plots, 0.0, atol=0.03)
+        return len(plots) >= 2 and np.allclose(plots, 0.0, atol=0.03)
+
+    for share in (0.25, 0.75):  # a busy machine shows a time late
+        assert patiently(lambda share=share: is_shown(share))
 
 
 def asked(driver: Any) -> set[str]:
@@ -276,9 +281,6 @@ def test_a_hill_on_a_page_is_bright_in_the_north_west_and_nothing_is_cut(
     files: list[Path], browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Seen from above; its flanks have the same heights, and therefore the same colours."""
-    from slipfree.show import viewer
-    from slipfree.show.scene import drive_scene
-
     monkeypatch.setattr(viewer, "VIEW", np.array([0.0, -0.01, 1.0]))
     drive = shown(files[0], "a")
     x, y = drive.terrain.grid.x, drive.terrain.grid.y
@@ -304,11 +306,27 @@ def test_a_hill_on_a_page_is_bright_in_the_north_west_and_nothing_is_cut(
         for right, down in flanks
     )
     assert north_west > 1.1 * south_west > 1.2 * south_east
+    phone = {"width": 360, "height": 740, "deviceScaleFactor": 1, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    heights = patiently(lambda: browser.execute_script(boxes.replace("box.top,", "box.height,")))
+    assert np.max(heights, axis=0)[1] < 0.36 * phone["height"]  # the scene is seen above
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@pytest.mark.slow
+def test_a_printed_report_is_unfolded(browser: Any, tmp_path: Path) -> None:
+    out, texts = tmp_path / "report.html", {"Problem": "many\n" * 9}
+    report = html_page.Report("title", "lead", True, (), {}, (), "", texts)
+    out.write_text(html_page.page(report))
+    browser.get(out.as_uri())
+    heights = []
+    for media in ("print", ""):
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media})
+        heights.append(browser.find_element("tag name", "details").size["height"])
+    assert heights[0] > heights[1] + 100
 
 
 def test_a_quiet_page_says_where_it_is(files: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    from slipfree.show import viewer
-
     def serve(*words: Any) -> None:
         words[-1]("http://127.0.0.1:1")
 
@@ -318,8 +336,6 @@ def test_a_quiet_page_says_where_it_is(files: list[Path], monkeypatch: pytest.Mo
 
 
 def test_run_shows_its_result(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from slipfree.show import viewer
-
     pages = list[str]()
     monkeypatch.setattr(viewer, "serve", lambda html, *_: pages.append(html))
     (folder / "p.toml").write_text(PROBLEM, encoding="utf-8")
@@ -355,9 +371,6 @@ def test_a_port_that_is_taken_is_refused(files: list[Path]) -> None:
 
 def motion_nodes(files: list[Path], times: np.ndarray) -> tuple[Any, Any]:
     """Return a recorder, and the nodes of the first motion at given times."""
-    from slipfree.show import viewer
-    from slipfree.show.scene import drive_scene
-
     server = viewer.recorder()
     return server, viewer._RunNodes(server, drive_scene([shown(files[0], "a")]), 0, times)
 
@@ -390,7 +403,7 @@ def test_nodes_have_the_poses_of_the_motion(files: list[Path]) -> None:
     stop(server)
 
 
-def test_tracks_have_a_white_edge(files: list[Path]) -> None:
+def test_tracks_are_ribbons_with_a_white_edge_beside_the_contact_points(files: list[Path]) -> None:
     server, _ = motion_nodes(files, np.zeros(1))
     edge, track = (
         server.scene.get_handle_by_name(f"/world/run 1/tracks/{name}") for name in ("edge", "own")
@@ -400,23 +413,15 @@ def test_tracks_have_a_white_edge(files: list[Path]) -> None:
     widths = [np.linalg.norm(np.diff(each.vertices[:2], axis=0)) for each in (edge, track)]
     assert widths[0] > 1.5 * widths[1] > 0
     stop(server)
-
-
-def test_tracks_are_ribbons_beside_the_contact_points() -> None:
-    from slipfree.show import viewer
-
     points = np.stack(np.broadcast_arrays([0.0, 5.0], np.arange(4.0)[:, None], 0.0), axis=-1)
     points[2, 1] = np.nan  # without contact
-    mesh = viewer.tracks(points, 0.2, dashed=False)
+    mesh = tracks(points, 0.2, dashed=False)
     assert sorted(set(mesh.vertices[:8, 0])) == pytest.approx([-0.1, 0.1])
     assert len(mesh.faces) == 6 + 2
 
 
 @pytest.mark.parametrize("is_far", [False, True])
 def test_long_motions_are_followed_and_shown_faster(files: list[Path], is_far: bool) -> None:
-    from slipfree.show import viewer
-    from slipfree.show.scene import drive_scene
-
     scene = drive_scene([shown(files[0], "a")])
     actor = scene.actors[0]._replace(t=60 * scene.actors[0].t)
     scene = scene._replace(actors=(actor,), reach=0.05 if is_far else scene.reach)

@@ -319,6 +319,12 @@ def add_json_file(file: object) -> None:
     _current_output().content.setdefault("files", []).append(str(file))
 
 
+def wrote(file: object, more: str = "") -> None:
+    """Print the name of a written file with a text, and add it to the JSON object."""
+    add_json_file(file)
+    print_line(f"wrote {file}{more}")
+
+
 def written() -> list[str]:
     """Return a text with the files that the running command has written; an empty list if none."""
     files = dict.fromkeys(_current_output().content.get("files", ()))

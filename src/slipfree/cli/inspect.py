@@ -236,8 +236,7 @@ def export(
             console.refuse_result(file)
             files, command = export_code(file, code, trust or ())
             for each in files:
-                console.add_json_file(each)
-                console.print_line(f"wrote {each}")
+                console.wrote(each)
             console.add_json("test", lambda: command)
             console.print_line(f"to test: {command}")
             return
@@ -245,5 +244,4 @@ def export(
         for out, write in ((path, export_path), (rates, export_rates), (mcap, export_mcap)):
             if out is not None:
                 write(file, out)
-                console.add_json_file(out)
-                console.print_line(f"wrote {out}")
+                console.wrote(out)

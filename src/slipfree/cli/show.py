@@ -107,8 +107,7 @@ def show(
 
         with console.counted("frames") as progress:
             speed = animate(scene, animation, title, progress)
-        console.print_line(f"wrote {animation}, {speed}")
-        console.add_json_file(animation)
+        console.wrote(animation, f", {speed}")
     if has_page:
         from slipfree.show.viewer import page, serve
 
@@ -116,20 +115,17 @@ def show(
         if html is None:
             serve(text, port, console.warn, lambda url: open_page(url, browser))
         else:
-            _write_page(html, text)
-            console.print_line(f"wrote {html}, {len(text) / 1e6:.1f} MB")
+            _write_page(html, text, f", {len(text) / 1e6:.1f} MB")
     if picture is not None:
         from slipfree.show.film import picture as drawn
 
         save_picture(drawn(scene, title, time), picture)
 
 
-def _write_page(file: Path, text: str) -> None:
-    def write(part: Path) -> None:  # file names in the text may have invalid characters
-        part.write_text(text, encoding="utf-8", errors="backslashreplace")
-
-    replace_file(file, write)
-    console.add_json_file(file)
+def _write_page(file: Path, text: str, more: str = "") -> None:
+    # file names in the text may have invalid characters
+    replace_file(file, lambda part: part.write_text(text, "utf-8", "backslashreplace"))
+    console.wrote(file, more)
 
 
 def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:
@@ -174,7 +170,6 @@ def report(file: ResultFile, out: Annotated[Path | None, output_option("OUT.html
         with console.counted("figures") as progress:
             text = page(found, progress)
         _write_page(target, text)
-        console.print_line(f"wrote {target}")
 
 
 def edit(

@@ -369,8 +369,7 @@ def sweep(
     names = choose_figures(plan, rows, figures or [])
     tables = grids(plan, rows, names)
     console.print_facts(sweep_facts(plan, rows, tables, names))
-    console.add_json_file(folder / TABLE)
-    console.print_line(f"wrote {folder / TABLE}")
+    console.wrote(folder / TABLE)
     # finished runs without a result file, such as those run without --keep
     moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST})) if keep else []
     if missing := [run for run in moved if not rows.file(run).exists()]:

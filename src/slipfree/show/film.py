@@ -7,10 +7,10 @@ is drawn for each frame of a film, over a picture of the rest.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from subprocess import CalledProcessError
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
 from matplotlib import rc_context
@@ -38,6 +38,7 @@ FILM_COLORS, OCTREE = 128, Image.Quantize.FASTOCTREE  # of a GIF; keeps the few 
 MOST = 160  # maximum number of frames of a film; longer motions are shown faster
 COLUMNS = {"width_ratios": (2, 3)}  # widths of the two axes
 ROWS = (5, 2)  # heights of the views and of the curves
+ROOM = 1.05  # end of the axis of curves over that of the quantity: lines at the end are not cut
 FILM_HEIGHT, PICTURE_HEIGHT = 125.0, 110.0  # [mm]
 HEIGHT = 0.62  # height of the view over its width
 WIDE = 2.2  # width of the ground in a picture over that in a film [1]
@@ -50,7 +51,6 @@ TITLE = 80  # number of characters in a line of the title
 HEAD = 0.3, 0.4  # length of an arrow's head over the arrow's, and its width over its length
 WIDTH = 125  # number of characters in a line below the film
 BELOW = {"fc": "white", "ec": "none", "pad": 1.5}  # behind the text below a film
-T = TypeVar("T")
 
 
 def film_writer(file: Path, rate: int) -> AbstractMovieWriter:
@@ -80,31 +80,6 @@ class _GifWriter(PillowWriter):
         )
 
 
-def write_film(
-    writer: AbstractMovieWriter,
-    figure: Figure,
-    file: Path,
-    show: Callable[[T], None],
-    steps: Iterable[T],
-) -> None:
-    """Write a film with one frame per step, drawn by ``show(step)``."""
-
-    def fill(part: Path) -> None:
-        with writer.saving(figure, str(part), FILM_DPI):
-            for step in steps:
-                show(step)
-                writer.grab_frame()
-
-    try:
-        replace_file(file, fill)
-    except CalledProcessError as error:
-        if isinstance(error.__context__, KeyboardInterrupt):  # Ctrl-C ended ffmpeg as well
-            raise error.__context__ from None
-        raise DataError(
-            f"{file}: cannot be written (ffmpeg: {error}); choose another name or folder"
-        ) from error
-
-
 def animate(
     scene: Scene,
     file: str | Path,
@@ -119,12 +94,22 @@ def animate(
         figure = _FilmFigure(figsize=(PAGE, FILM_HEIGHT * MM), layout="constrained", dpi=FILM_DPI)
         film = Film(figure, scene, title, speed)
 
-        def show(step: int) -> None:
-            film.show(float(np.linspace(first, last, count)[step]))
-            if progress is not None:
-                progress(step + 1, count)
+        def fill(part: Path) -> None:
+            with writer.saving(figure, str(part), FILM_DPI):
+                for step, t in enumerate(np.linspace(first, last, count).tolist(), 1):
+                    film.show(t)
+                    writer.grab_frame()
+                    if progress is not None:
+                        progress(step, count)
 
-        write_film(writer, figure, Path(file), show, range(count))
+        try:
+            replace_file(Path(file), fill)
+        except CalledProcessError as error:
+            if isinstance(error.__context__, KeyboardInterrupt):  # Ctrl-C ended ffmpeg as well
+                raise error.__context__ from None
+            raise DataError(
+                f"{file}: cannot be written (ffmpeg: {error}); choose another name or folder"
+            ) from error
     return f"{speed:.3g} times real speed"
 
 
@@ -229,7 +214,8 @@ class View:
         """Add the paths of all platforms, keep-out regions, start and goal."""
         plan = [each for each in scene.ground.lines if each.name in PLAN_LINES]
         for name, point in (label for each in plan for label in each.labels):
-            text = self.ax.text(0, 0, name, fontsize=7, ha="center", parse_math=False)
+            look: dict[str, Any] = {"ha": "center", "va": "bottom", "parse_math": False}
+            text = self.ax.text(0, 0, name, fontsize=7, **look)
             self.labels.append((point, text))
             self.artists.append(text)
         for points, colors, look in [
@@ -347,10 +333,10 @@ def _draw_curves(figure: Any, scene: Scene) -> list[Line2D]:
         figure.subplots(1, len(shown) or 1, squeeze=False)[0], shown, strict=False
     ):
         for name, color, t, values in scene.curves(plotted):
-            ax.plot(t, values, color=color, lw=0.8, label=words(name))
+            ax.plot(t, values, color=color, lw=0.8, label=name)
         unit = f" [{plotted.unit}]" if plotted.unit else ""
         over = f"{words(plotted.name)}{unit} over time [s]"
-        ax.set(xlim=scene.span, ylim=scene.plotted[plotted], xlabel=over)
+        ax.set(xlim=scene.span, ylim=np.multiply(ROOM, scene.plotted[plotted]), xlabel=over)
         cursors.append(ax.axvline(scene.span[0], color="black", lw=0.8))
     if cursors:
         handles, names = figure.axes[0].get_legend_handles_labels()

@@ -23,6 +23,7 @@ from scipy.ndimage import uniform_filter
 
 from slipfree.core.records import html_table
 from slipfree.routing.traversability import free_space
+from slipfree.show import style
 from slipfree.show.ground_drawing import muted
 from slipfree.show.local_server import Content, page_file
 from slipfree.show.plots import Plot, draw
@@ -101,7 +102,7 @@ def _choice(
         is_chosen = key == chosen
         options += (
             f'<option value="{escape(at)}" data-nodes="{escape("|".join(nodes))}"'
-            f"{' selected' if is_chosen else ''}>{escape(key.replace('_', ' '))}</option>"
+            f"{' selected' if is_chosen else ''}>{escape(style.words(key))}</option>"
         )
         shown = ""
         if layer:
@@ -109,7 +110,7 @@ def _choice(
             shown = (
                 f'<div class="scale" style="background:linear-gradient(to right,{stops})"></div>'
             )
-            shown += f"<div>{escape(layer.name)}: {escape(layer.legend)}</div>"
+            shown += f"<div>{escape(style.words(layer.name))}: {escape(layer.legend)}</div>"
         legends += f'<div id="{escape(at)}"{"" if is_chosen else " hidden"}>{shown}</div>'
     return f"<div>{name} <select>{options}</select></div>{legends}"
 
@@ -125,9 +126,8 @@ def _plots(scene: Scene) -> str:
             points = " ".join(f"{k},{value:.4g}" for k, value in enumerate(shown))
             now += f' <b style="color:{color}"></b>'
             drawn += f'<polyline stroke="{color}" points="{points}"/>'
-        unit = f" {each.unit}" if each.unit else ""
         plots += (
-            f"<div>{escape(each.name.replace('_', ' '))}, {low:.3g} to {high:.3g}{unit}:{now}</div>"
+            f"<div>{escape(style.words(each.name))}, {each.words(low, high)}:{now}</div>"
             f'<svg preserveAspectRatio="none" viewBox="0 {-high} {size - 1} {high - low}">'
             f'<g transform="scale(1,-1)">{drawn}<line y1="{low}" y2="{high}"/></g></svg>'
         )

@@ -29,7 +29,7 @@ from slipfree.plan.plan import Plan
 from slipfree.show import ground_drawing, style
 from slipfree.show.atlas_figures import atlas_plots, view_of
 from slipfree.show.ground_drawing import HEATMAP, side_plot
-from slipfree.show.plots import Panel, Plot, PlottedDrive, draw, stack
+from slipfree.show.plots import Panel, Plot, PlottedDrive, beside, draw, stack
 from slipfree.show.style import PAGE, PLATFORM, STEEP, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
@@ -347,9 +347,10 @@ def over_time(name: str, caption: str) -> Compose:
         """Return the plot of a group of quantities over time; None if the motion has none."""
         run = drive.run
         names = [each.name for each in QUANTITIES.values() if each.figure == name]
-        drawn = [
-            Panel(partial(style.history, run, each, has_zero=True)) for each in panels(run, names)
-        ]
+        groups = panels(run, names)
+        drawn = [Panel(partial(style.history, run, each, has_zero=True)) for each in groups]
+        if len({run.wheels if run[first].ndim == 2 else first for first, *_ in groups}) > 1:
+            drawn = [Panel(beside(panel.draw), has_legend=False) for panel in drawn]
         note = NOTES.get(str(run.attributes.get("model")), NOTES["kinematics"])
         note = note if name == "slip" else ""
         return Plot(name, caption, lambda: stack(run, drawn, note)) if drawn else None

@@ -23,7 +23,7 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.routing.traversability import Traversability, blocked_by
 from slipfree.show import ground_drawing, style
 from slipfree.show.ground_drawing import Place, Window
-from slipfree.show.plots import Panel, Plot, stack
+from slipfree.show.plots import WRAP, Panel, Plot, beside, stack
 from slipfree.show.style import MM, PAGE, PLATFORM
 from slipfree.terrain.base import Grid
 
@@ -38,7 +38,6 @@ BLOCKED = {  # colour and description of blocked nodes by reason, in order of pr
     "friction": ("#D55E00", "friction holds no heading"),
     "pose": ("#CC79A7", "the vehicle does not stand"),
 }
-WRAP = 20  # characters of a line of labels and legends beside axes
 ROW = 34.0  # height of a row of the figure of a plan [mm]
 NO_GUESS = np.zeros((0, 2))
 TRACKING_HEIGHT = 70.0  # [mm]
@@ -171,7 +170,7 @@ def plan_plots(
     drawings += [(1.0, partial(limited, run, name, pair)) for name, pair in limits.items()]
     if layers.limits.keep_out:
         drawings.append((1.0, partial(keep_out_distance, run, layers)))
-    panels = [Panel(_beside(draw), ROW * height, has_legend=False) for height, draw in drawings]
+    panels = [Panel(beside(draw), ROW * height, has_legend=False) for height, draw in drawings]
     shown = {"m": ".2g>mm", "rad": ".2g>deg"}  # units that people read
     missed = [
         f"{style.words(name)} {gap:{shown.get(gap.unit, '.2g')}}"
@@ -187,7 +186,8 @@ def plan_plots(
         cost_map(layers, grid, ax, window)
         initial_routes(found, ax)
         if guess.size:
-            ax.plot(*guess.T, color="0.35", lw=0.7, zorder=3, label="initial guess")
+            edge = style.halo(1.7)
+            ax.plot(*guess.T, color="0.35", lw=0.7, label="initial guess", path_effects=edge)
         motion(run, places, ax, areas)
         return style.cropped(style.finished(figure, run, [ax]), ax)
 
@@ -234,21 +234,6 @@ def tracking_plot(
     return Plot(name, caption, make)
 
 
-def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
-    """Return a drawing function that adds a legend of its own colours beside the panel."""
-
-    def drawn(ax: Axes) -> None:
-        """Draw a panel with wrapped words and a legend beside it."""
-        draw(ax)
-        ax.set_ylabel(textwrap.fill(ax.get_ylabel(), WRAP))
-        entries = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
-        lines = {textwrap.fill(words, WRAP): handle for words, handle in entries.items()}
-        if lines:
-            right = 1.11 if ax.child_axes else 1.01  # of the axis in degrees
-            ax.legend(lines.values(), lines, loc="center left", bbox_to_anchor=(right, 0.5))
-
-    return drawn
-
-
 def _bound(value: float, ax: Axes, color: str = "0.4", words: str = "limit") -> None:
     ax.axhline(value, color=color, lw=0.8, ls=(0, (6, 2)), zorder=1, label=words)
+    ax.autoscale(axis="y")  # an axis in degrees has fixed the limits of the other

@@ -7,6 +7,7 @@ and labels the artists for the legend.
 from __future__ import annotations
 
 import gc
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -29,6 +30,7 @@ from slipfree.terrain.solids import Prism
 COMPRESSION = {"compress_level": 3}  # files larger by 5 % in 0.6 of the time
 MAIN_COUNT = 4  # number of figures that are drawn unless all are requested
 PANEL = 38.0  # height of a panel [mm]
+WRAP = 20  # characters of a line of labels and legends beside axes
 MARGIN = 24.0  # height of legend, axis and note of a figure [mm]
 
 
@@ -76,6 +78,22 @@ def stack(run: Trajectory | None, panels: Sequence[Panel], note: str = "") -> Fi
     figure.align_ylabels(axes)
     legends = [ax for panel, ax in zip(panels, axes, strict=True) if panel.has_legend]
     return style.finished(figure, run, legends, note)
+
+
+def beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
+    """Return a drawing function that adds a legend of its own colours beside the panel."""
+
+    def drawn(ax: Axes) -> None:
+        """Draw a panel with wrapped words and a legend beside it."""
+        draw(ax)
+        ax.set_ylabel(textwrap.fill(ax.get_ylabel(), WRAP))
+        entries = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+        lines = {textwrap.fill(words, WRAP): handle for words, handle in entries.items()}
+        if lines:
+            right = 1.11 if ax.child_axes else 1.01  # of the axis in degrees
+            ax.legend(lines.values(), lines, loc="center left", bbox_to_anchor=(right, 0.5))
+
+    return drawn
 
 
 def draw(plots: Iterable[Plot]) -> dict[str, Figure]:

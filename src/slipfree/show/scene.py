@@ -76,6 +76,7 @@ CLOSEST_COLOR = (120, 0, 160)  # of the place where a body came closest to the g
 ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform [wheel radius]
 NARROW = 0.55  # width of the platform [width of the vehicle]
 TYRE = (90, 90, 90)
+WHEELS = *style.PALETTE[1:], "#000000"  # of wheels in plots; the first motion has the other colour
 LARGEST = 1e9  # value in plots over time
 SAME = 1e-9  # smaller differences of grounds are rounding [m]
 
@@ -88,6 +89,11 @@ class Plotted(NamedTuple):
     least: float  # smallest upper end of the axis, in that unit
     most: float = np.inf  # largest upper end
     is_margin: bool = False  # whether small values are bad
+
+    def words(self, low: float, high: float) -> str:
+        """Return the range of the axis in words."""
+        more = " or more" if high == self.most else ""
+        return f"{low:.3g} to {high:.3g} {self.unit}".rstrip() + more
 
 
 PLOTTED = (
@@ -294,16 +300,15 @@ class Scene(NamedTuple):
                 yield actor.name, color, actor.t, worst(values.reshape(len(values), -1), axis=1)
             else:
                 for k, wheel in enumerate(actor.wheels):
-                    color = style.PALETTE[(k + 1) % len(style.PALETTE)]
-                    yield wheel, color, actor.t, values[:, k]
+                    yield style.words(wheel), WHEELS[k % len(WHEELS)], actor.t, values[:, k]
 
     def track_layers(self, actor: Actor) -> list[Layer]:
         """Return the colourings of the tracks of a motion."""
         layers = list[Layer]()
         for each, (low, high) in self.plotted.items():
             if not each.is_margin and each.name in actor.values:
-                legend = f"{low:.3g} to {high:.3g} {each.unit}"
-                layers.append(layer(each.name, actor.values[each.name], legend, low, high))
+                values, legend = actor.values[each.name], each.words(low, high)
+                layers.append(layer(each.name, values, legend, low, high))
         return layers
 
     @property

@@ -107,7 +107,8 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
     more = ", mean" if swept.values.shape[-1] > 1 else ""
     bar.set_label(_labelled(f"{swept.name}{more}", swept.unit))
     for axis, varied, order in zip((ax.xaxis, ax.yaxis), (across, up), orders, strict=True):
-        _ticks(axis, [varied.values[k] for k in order])
+        names = [f"{each:.4g}" for each in varied.numbers or ()] or varied.values
+        _ticks(axis, [names[k] for k in order])
         axis.set_label_text(_labelled(varied.name, varied.unit))
     look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6}
     is_small = max(mean.shape) <= MOST_WORDS

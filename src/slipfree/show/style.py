@@ -37,8 +37,9 @@ STYLE = {
 }
 DPI = 200
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito
-# from good to bad: no colour is pale, since tracks have a white edge
-RISK = LinearSegmentedColormap.from_list("risk", ["#1a9850", "#f5c400", "#d7191c"])
+# from good to bad: no colour is pale, since tracks have a white edge; also the colour-blind can
+# tell its halves apart, since the green is bluish and the red is darker
+RISK = LinearSegmentedColormap.from_list("risk", ["#009e73", "#f7cf30", "#b30018"])
 # of heights in all pictures, below a hillshade; pale, so that tracks and risks stand out
 HEIGHTS = LinearSegmentedColormap.from_list("heights", ["#a08560", "#cfbd9a", "#f7f0e2"])
 STEEP = 40.0  # end of the colour scale of slopes [deg]
