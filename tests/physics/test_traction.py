@@ -82,7 +82,7 @@ def test_beyond_friction_a_start_is_refused_with_what_it_needs():
     s = np.tan(np.radians(25))
     assert str(error) == (
         "the vehicle cannot stand at the start: headed 0 degrees from uphill on a slope of 25.0 "
-        "degrees the vehicle needs a coefficient of friction of at least "
+        "degrees, the vehicle needs a coefficient of friction of at least "
         f"{s / (2 / 3 + 0.2 * s):.4g}, the ground offers 0.6"
     )
 

@@ -29,7 +29,7 @@ FIGURES = "figures"  # folder of the figures of a sweep
 def compare(
     file: console.File, settings: console.Settings = None, trust: console.Trust = None
 ) -> None:
-    """Compare the slip of several vehicles on one ground.
+    """Compare the slip of several vehicles on one ground; slipfree new compare writes a problem.
 
     Print whether each vehicle can roll without slip, and the slip that remains otherwise.
     """
@@ -44,7 +44,10 @@ def compare(
     console.add_json("vehicles", lambda: rows)
     drives = {"same_rates": "same rates", "driving_law": "rates of the driving law"}
     for drive, words in drives.items():
-        wheels = ", ".join(rows[0]["wheels"])
+        if drive not in rows[0]:
+            continue
+        names = {", ".join(row["wheels"]) for row in rows}
+        wheels = names.pop() if len(names) == 1 else "of each vehicle in their order"
         console.print_line(f"\nat the {words}: largest slip of the wheels {wheels} [mm/s]")
         shown = list[dict[str, Any]]()
         for row in rows:

@@ -250,7 +250,7 @@ def diagnosis(z: base.Algebraic, q: base.Quantities) -> Callable[[Array, Array],
         if slope > MAX_LEVEL_SLOPE:
             place = (
                 f"headed {np.degrees(aside):.0f} degrees from uphill on a slope of "
-                f"{np.degrees(slope):.1f} degrees"
+                f"{np.degrees(slope):.1f} degrees,"
             )
         words = _friction_words(factor, friction, tips=margin < 0)
         leans = f"; a wheel leans by {lean:.3g} rad" if lean > MAX_UPRIGHT_LEAN else ""

@@ -497,8 +497,9 @@ def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
                 "none",
                 'set cell, the width of a cell in metres, and registration: "area" if values '
                 'are at centres of cells, "point" if the outermost values are on the border, '
-                "and for a picture vertical_scale, the metres per gray level; world files (such as "
-                ".tfw) are not read: gdal_translate in.tif out.tif writes them into the raster",
+                "and for a picture vertical_scale, the metres per gray level, as in --set "
+                "terrain.cell=0.5 --set terrain.registration=area; world files (such as .tfw) are "
+                "not read: gdal_translate in.tif out.tif writes them into the raster",
             )
         first = ask.cell / 2 if ask.registration == "area" else 0.0
         x, y = UniformAxis(first, ask.cell, file.width), UniformAxis(first, ask.cell, file.height)

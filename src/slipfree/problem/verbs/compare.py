@@ -16,7 +16,7 @@ from slipfree.plan.verification import simulate_to_failure
 from slipfree.problem import build
 from slipfree.problem.build_ground import GroundMap, build_ground
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import DriverTable, TerrainKeys, VehicleSource
+from slipfree.problem.schema import DriverTable, Frame, TerrainKeys, VehicleSource
 from slipfree.solve.sampling import input_samples
 from slipfree.solve.system import with_inputs
 from slipfree.system.parts import PartsWatch, study, until_interrupt
@@ -42,17 +42,21 @@ class Compare(TerrainKeys):
 
     Attributes
     ----------
+    frame : Frame
+        Axis from which the heading of the start is measured: y, or x (REP 103).
     vehicles : tuple of NamedVehicle
         The vehicles to compare.
     inputs : mapping of str to float
-        Rates of driven wheels and commanded joints, by name. [rad/s, m/s]
+        Common rates of driven wheels and commanded joints, by name; without them, vehicles are
+        compared at the rates of the driving law only. [rad/s, m/s]
     driver : DriverTable
         The driving law.
     """
 
     verb: Literal["compare"]
+    frame: Frame = "paper"
     vehicles: Annotated[tuple[NamedVehicle, ...], Field(strict=False, min_length=1)]
-    inputs: dict[str, Quantity]
+    inputs: dict[str, Quantity] = Field(default={})
     driver: DriverTable
 
 
@@ -63,8 +67,8 @@ def compare(
 
     Results are name, wheels, ``rank`` of the Jacobian of the slip in the unknown rates, number of
     slip ``conditions`` (a vehicle can roll without slip if both are equal), and the motions
-    ``same_rates`` and ``driving_law``: their stop, and extremes over time with units. Slip has a
-    value for each wheel; ``slip_measured`` is computed from their poses alone.
+    ``same_rates`` (with ``inputs``) and ``driving_law``: their stop, and extremes over time with
+    units. Slip has a value for each wheel; ``slip_measured`` is computed from their poses alone.
 
     After a Ctrl-C held back by `held_interrupt`, the results are those of the finished vehicles.
     ProblemError is raised if the problem cannot be built; SolverError if a motion fails before its
@@ -76,7 +80,7 @@ def compare(
     def compared(index: int) -> dict[str, Any]:
         """Return the row of a vehicle: whether it can roll, and its motions at both rates."""
         vehicle = build.build_vehicle(problem, vehicles[index], ("vehicles", index))
-        dae = direct_kinematics(vehicle, terrain)
+        dae = build.in_frame(problem, direct_kinematics(vehicle, terrain))
         spec, start = problem.spec, build.build_start(problem, dae)
         options = spec.solver.options
         known = [label.full for label in leaves(dae.labels.u)]
@@ -84,9 +88,14 @@ def compare(
         rates = {key: rate for key, rate in spec.inputs.items() if key not in free}
         build.check_names(problem, dae, {**dict.fromkeys(known, 0.0), **rates})
         t, _ = input_samples(spec.time.duration, spec.time.step, {})
-        same = dae.inputs(**{key: rates.get(key, 0.0) for key in known})
-        law = build.build_law(problem, spec.driver, dae, start)
-        runs = [simulate_to_failure(dae, start, each, t, options) for each in (same, law)]
+        drives = {"driving_law": build.build_law(problem, spec.driver, dae, start)}
+        if rates:
+            same = dae.inputs(**{key: rates.get(key, 0.0) for key in known})
+            drives = {"same_rates": same, **drives}
+        motions = {
+            name: _extremes(vehicle, simulate_to_failure(dae, start, each, t, options))
+            for name, each in drives.items()
+        }
         # the Jacobian of the rates contains A'A, which has the rank of A, the Jacobian of the slip
         system = with_inputs(dae, dae.zero_inputs, 0, options)
         point = 0.0, dae.rows("x", start, -1), dae.rows("z", start, -1), system.u[:, 0], 0.0
@@ -98,8 +107,7 @@ def compare(
             "wheels": start.wheels,
             "rank": int((values > RANK * values[0]).sum()),
             "conditions": 3 * len(vehicle.wheels),
-            "same_rates": _extremes(vehicle, runs[0]),
-            "driving_law": _extremes(vehicle, runs[1]),
+            **motions,
         }
 
     with study(compared, watch=watch) as run:

@@ -475,7 +475,7 @@ class PlanVerb(base.DriveVerb):
     is_timed = False
     own_rows = ROWS
     verified = (DIFFERENCE, VIOLATION)
-    metrics_shown = ("within_limits", "plan_violation", "slip_rms")
+    metrics_shown = ("within_limits", "slip_rms", "duration")
 
     def build(self, problem: Problem[plan_setup.PlanKeys]) -> Setup:
         """Return the set-up of the search; over solids, that of the simulation of a plan."""
