@@ -307,7 +307,7 @@ def _broken(name: str, monkeypatch: pytest.MonkeyPatch, raised: BaseException) -
 @pytest.mark.usefixtures("folder")
 def test_runs_print_the_main_facts_and_info_all_of_them():
     names = ["outcome", "path length", "end position", "slip", "largest angles", "friction"]
-    main = invoke("run", "p.toml", "--no-draw", "-o", "a b.nc", code=0).stdout.splitlines()
+    main = invoke("run", "p.toml", "--no-figures", "-o", "a b.nc", code=0).stdout.splitlines()
     all_facts = invoke("run", "p.toml", "--no-draw", "-v", code=0).stdout.splitlines()
     assert [line.partition("  ")[0] for line in main[:-1]] == names
     assert main[-1] == "wrote a b.nc; all facts: slipfree info 'a b.nc'"

@@ -160,6 +160,8 @@ def test_blocked_ground_is_gray(drive: Driven) -> None:
     gray = (scene.ground.layers[2].colors == scenes.BLOCKED).all(axis=1)
     assert gray[away < 1.5].all()
     assert not gray.all()
+    texts = {each.get_text(): each for each in picture(scene, "title").make().axes[0].texts}
+    assert texts["goal"].get_visible()
 
 
 def test_relief_is_lit_from_the_north_west_in_all_pictures() -> None:

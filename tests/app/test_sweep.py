@@ -549,3 +549,6 @@ def test_a_heat_map():
     assert [label.get_text() for label in ax.get_xticklabels()] == ["0.3333", "1", "2"]
     assert sorted(words.get_text() for words in ax.texts) == ["0", "1", "2", "5", "7"]
     assert ax.figure.axes[1].get_ylabel() == "slip_rms, mean [m/s]"
+    assert ax.images[0].get_cmap().name == "risk"
+    margin = _swept([SPEEDS, AXLES], values)._replace(name="tip_over_margin_least")
+    assert show.heat_map(margin, Figure().subplots()).images[0].get_cmap().name == "risk_r"
