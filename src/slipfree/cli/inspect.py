@@ -180,15 +180,15 @@ def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] =
         )
         if go_on := outputs.resume_command(motion, file):
             console.print_line(f"to resume: {go_on}")
-        rows = ranges(motion)
-        command = shlex.join(["slipfree", "info", "-v", str(file)])
-        hint = f"ranges of {len(rows)} quantities: {command}"
-        console.print_line("" if console.output_options().verbose else hint)
         console.add_json("outcome", motion.outcome.name.lower)
         console.add_json("attributes", lambda: attributes)
         console.add_json("result", lambda: outputs.motion_json(motion, facts))
         if console.output_options().verbose:
-            console.show(rows)
+            console.print_line()
+            console.show(ranges(motion))
+        else:
+            command = shlex.join(["slipfree", "info", "-v", str(file)])
+            console.print_line(f"ranges of all quantities: {command}")
 
 
 def export(

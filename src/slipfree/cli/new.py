@@ -84,11 +84,9 @@ def new(
     text = text.replace(f" {HOLE}", f" {word}")
     if ground is not None or vehicles or settings:
         if ground is None or not vehicles:
-            given = {"--ground MAP": ground, "--vehicle VEHICLE": vehicles}
-            missing = " and ".join(option for option, value in given.items() if not value)
             raise DataError(
-                f"new: expected --ground and --vehicle together, found no {missing}; add it, or "
-                "omit all options and change the written file"
+                "new: expected --ground MAP and --vehicle VEHICLE together, found one of them or "
+                "--set alone; add the other one, or omit all and change the written file"
             )
         if len(vehicles) > 1 and kind != "compare":
             raise DataError(
@@ -162,11 +160,8 @@ def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, Any]) -
     """
     own = ""
     for name, table in tables.items():
-        if isinstance(table, list):
-            own += f"{tomlkit.dumps({name: table})}\n"
-            continue
-        own += f"[{name}]{f'  # {TABLES[name]}' if name in TABLES else ''}\n"
-        own += f"{tomlkit.dumps(table)}\n"
+        comment = f"  # {TABLES[name]}" if name in TABLES else ""
+        own += tomlkit.dumps({name: table}).replace("]\n", f"]{comment}\n", 1) + "\n"
     replaced = {*tables, *(("limits", "bounds", "inputs", "time", "plan") * (kind == "plan"))}
     head, *sections = re.split(r"(?m)^(?=\[)", text)
     kept = (each for each in sections if re.findall(r"\w+", each)[0] not in replaced)

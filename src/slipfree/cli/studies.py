@@ -43,12 +43,10 @@ def compare(
     console.print_facts(ground_facts(ground))
     console.add_json("vehicles", lambda: rows)
     drives = {"same_rates": "same rates", "driving_law": "rates of the driving law"}
-    for drive, words in drives.items():
-        if drive not in rows[0]:
-            continue
+    for drive in (each for each in drives if each in rows[0]):
         names = {", ".join(row["wheels"]) for row in rows}
         wheels = names.pop() if len(names) == 1 else "of each vehicle in their order"
-        console.print_line(f"\nat the {words}: largest slip of the wheels {wheels} [mm/s]")
+        console.print_line(f"\nat the {drives[drive]}: largest slip of the wheels {wheels} [mm/s]")
         shown = list[dict[str, Any]]()
         for row in rows:
             motion = row[drive]
