@@ -321,7 +321,7 @@ def test_results_that_were_not_kept_are_told(file):
     words = ["--set", "time.step=0.15", "--no-draw", "--processes", "1"]
     assert sweep_in(file.parent, *words).exit_code == 0
     result = sweep_in(file.parent, *words, "--keep", code=0)
-    assert "--keep: 1 finished run has no result file" in result.stderr
+    assert "--keep: finished runs without a result file: 1" in result.stderr
     assert "sweep into another folder with -o" in result.stderr
 
 

@@ -83,15 +83,11 @@ def new(
     text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
     text = text.replace(f" {HOLE}", f" {word}")
     if ground is not None or vehicles or settings:
-        if ground is None or not vehicles:
+        if ground is None or not vehicles or (len(vehicles) > 1 and kind != "compare"):
             raise DataError(
-                "new: expected --ground MAP and --vehicle VEHICLE together, found one of them or "
-                "--set alone; add the other one, or omit all and change the written file"
-            )
-        if len(vehicles) > 1 and kind != "compare":
-            raise DataError(
-                f"--vehicle: expected one for a problem of kind {kind!r}, found {len(vehicles)}; "
-                "name one, or use slipfree new compare"
+                "new: expected --ground MAP and --vehicle VEHICLE together, several vehicles only "
+                f"to compare, found {ground or 'no map'} and {len(vehicles or ())} vehicles; correct "
+                "the options, or omit all and change the written file"
             )
         import numpy as np
 
@@ -121,15 +117,13 @@ def new(
                 table["file"] = Path(os.path.relpath(table["file"], out.parent)).as_posix()
             return table
 
-        tables: dict[str, Any] = {"terrain": table_of(spec.terrain)}
-        tables["terrain"].setdefault("friction", FRICTION)
-        if kind == "compare":
-            tables["vehicles"] = [
-                {"name": Path(name).stem, **table_of(other.spec.vehicle)}
-                for name, other in zip(vehicles, others, strict=True)
-            ]
-        else:
-            tables["vehicle"] = table_of(spec.vehicle)
+        named = [
+            {"name": Path(name).stem, **table_of(other.spec.vehicle)}
+            for name, other in zip(vehicles, others, strict=True)
+        ]
+        own = {"vehicles": named} if kind == "compare" else {"vehicle": table_of(spec.vehicle)}
+        terrain = {"friction": FRICTION, **table_of(spec.terrain)}
+        tables: dict[str, Any] = {"terrain": terrain, **own}
         heading, place = pose["heading"], {name: round(pose[name], 3) for name in "xy"}
         if kind != "atlas":
             tables["start"] = {**place, "heading": f"{math.degrees(heading) % 360:g} deg"}

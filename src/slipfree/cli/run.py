@@ -118,6 +118,7 @@ def run(
     console.print_line(
         f"wrote {names}; all facts: {shlex.join(['slipfree', 'info', str(files[0])])}"
     )
+    console.detail(f"wrote {names}")
     if cross_check and not is_interrupted:
         with _after(files[0], "cross-check"):
             other, differences = find_differences(result)

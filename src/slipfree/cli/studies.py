@@ -374,9 +374,8 @@ def sweep(
     # finished runs without a result file, such as those run without --keep
     moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST})) if keep else []
     if missing := [run for run in moved if not rows.file(run).exists()]:
-        runs, have = ("run", "has") if len(missing) == 1 else ("runs", "have")
         console.warn(
-            f"--keep: {len(missing)} finished {runs} {have} no result file; sweep into another "
+            f"--keep: finished runs without a result file: {len(missing)}; sweep into another "
             "folder with -o to write all"
         )
     if draw:

@@ -116,8 +116,7 @@ def load_again(
             return found.schema
         hint = "correct the verb"
         if found:
-            others = f"or a problem for slipfree {command}; slipfree examples lists some"
-            hint = f"use slipfree {found.commands[0]} {source.path}, {others}"
+            hint = f"use slipfree {found.commands[0]} {source.path}; others: slipfree examples"
         expected = f"{' or '.join(repr(verb.name) for verb in able)} for this command"
         words = "none; add the key" if name is None else f"{toml.format_value(name)}; {hint}"
         raise toml.problem_error(source, [toml.Fault(("verb",), expected, words)])

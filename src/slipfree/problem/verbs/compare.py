@@ -90,8 +90,7 @@ def compare(
         t, _ = input_samples(spec.time.duration, spec.time.step, {})
         drives = {"driving_law": build.build_law(problem, spec.driver, dae, start)}
         if rates:
-            same = dae.inputs(**{key: rates.get(key, 0.0) for key in known})
-            drives = {"same_rates": same, **drives}
+            drives["same_rates"] = dae.inputs(**{key: rates.get(key, 0.0) for key in known})
         motions = {
             name: _extremes(vehicle, simulate_to_failure(dae, start, each, t, options))
             for name, each in drives.items()
