@@ -86,8 +86,8 @@ def new(
         if ground is None or not vehicles or (len(vehicles) > 1 and kind != "compare"):
             raise DataError(
                 "new: expected --ground MAP and --vehicle VEHICLE together, several vehicles only "
-                f"to compare, found {ground or 'no map'} and {len(vehicles or ())} vehicles; correct "
-                "the options, or omit all and change the written file"
+                f"to compare, found {ground or 'no map'} and {len(vehicles or ())} vehicles; "
+                "correct the options, or omit all and change the written file"
             )
         import numpy as np
 
