@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tomlkit
 import typer
 
-from slipfree.cli.atlas import as_arguments, ground_of, problem_of_map, start_on
+from slipfree.cli.atlas import as_arguments, ground_of, start_on
 from slipfree.cli.console import Force, Settings, Trust, add_json, add_json_file, print_line
 from slipfree.cli.outputs import check_outputs
 from slipfree.core.errors import DataError, similar
@@ -41,9 +41,7 @@ COMMANDS = {"v_x": 0.2, "v_y": 0.0, "omega_z": 0.05}  # of an inverse problem [m
 NEEDED = re.compile(r'\b(?:file|friction) = "(.+?)"')  # keys with names of input files
 
 
-Kind = Literal[
-    "direct", "inverse", "plan", "atlas", "compare"
-]  # of a problem: the name of its template
+Kind = Literal["direct", "inverse", "plan", "atlas"]  # of a problem: the name of its template
 
 
 def new(
@@ -51,7 +49,7 @@ def new(
     name: Annotated[Path, typer.Argument(metavar="NAME")],
     force: Force = False,
     ground: Annotated[Path | None, typer.Option(metavar="MAP")] = None,
-    vehicles: Annotated[list[str] | None, typer.Option("--vehicle", metavar="VEHICLE")] = None,
+    vehicle: Annotated[str | None, typer.Option(metavar="VEHICLE")] = None,
     settings: Settings = None,
     trust: Trust = None,
 ) -> None:
@@ -62,15 +60,14 @@ def new(
 
     Parameters
     ----------
-    kind : {"direct", "inverse", "plan", "atlas", "compare"}
-        Kind of the problem: direct, inverse, plan, atlas or compare.
+    kind : {"direct", "inverse", "plan", "atlas"}
+        Kind of the problem: direct, inverse, plan or atlas.
     name : path
         Name of the problem.
     ground : path, optional
         Map of the heights, with --vehicle.
-    vehicles : list of str, optional
-        With --ground: vehicle file (TOML, URDF or xacro), or name of the catalogue; repeatable to
-        compare vehicles.
+    vehicle : str, optional
+        With --ground: vehicle file (TOML, URDF or xacro), or name of the catalogue.
     """
     if not (name.name and str(name).isprintable()):
         raise DataError(
@@ -82,12 +79,13 @@ def new(
     word = shlex.quote(str(out))
     text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
     text = text.replace(f" {HOLE}", f" {word}")
-    if ground is not None or vehicles or settings:
-        if ground is None or not vehicles or (len(vehicles) > 1 and kind != "compare"):
+    if ground is not None or vehicle is not None or settings:
+        if ground is None or vehicle is None:
+            given = {"--ground MAP": ground, "--vehicle VEHICLE": vehicle}
+            missing = " and ".join(option for option, value in given.items() if value is None)
             raise DataError(
-                "new: expected --ground MAP and --vehicle VEHICLE together, several vehicles only "
-                f"to compare, found {ground or 'no map'} and {len(vehicles or ())} vehicles; "
-                "correct the options, or omit all and change the written file"
+                f"new: expected --ground and --vehicle together, found no {missing}; add it, or "
+                "omit all options and change the written file"
             )
         import numpy as np
 
@@ -101,8 +99,7 @@ def new(
                     f"{each!r}; change other keys in the written file"
                 )
         with as_arguments():
-            problem, surface = ground_of(ground, vehicles[0], settings or [], trust)
-            others = [problem_of_map(ground, each, settings or [], trust) for each in vehicles]
+            problem, surface = ground_of(ground, vehicle, settings or [], trust)
         pose, ((_, words), *_) = start_on(problem, surface.grid)
         if not pose:
             raise DataError(
@@ -110,20 +107,11 @@ def new(
                 f"{words}; choose another map or vehicle"
             )
         spec = problem.spec
-
-        def table_of(record: Any) -> dict[str, Any]:
-            table: dict[str, Any] = record.model_dump(exclude_unset=True)
+        tables = {name: getattr(spec, name).model_dump(exclude_unset=True) for name in OWN}
+        for table in tables.values():
             if "file" in table:
                 table["file"] = Path(os.path.relpath(table["file"], out.parent)).as_posix()
-            return table
-
-        named = [
-            {"name": Path(name).stem, **table_of(other.spec.vehicle)}
-            for name, other in zip(vehicles, others, strict=True)
-        ]
-        own = {"vehicles": named} if kind == "compare" else {"vehicle": table_of(spec.vehicle)}
-        terrain = {"friction": FRICTION, **table_of(spec.terrain)}
-        tables: dict[str, Any] = {"terrain": terrain, **own}
+        tables["terrain"].setdefault("friction", FRICTION)
         heading, place = pose["heading"], {name: round(pose[name], 3) for name in "xy"}
         if kind != "atlas":
             tables["start"] = {**place, "heading": f"{math.degrees(heading) % 360:g} deg"}
@@ -141,21 +129,21 @@ def new(
             distances = np.linalg.norm(goals - here, axis=1).round(2)
             goal = goals[np.argmax(distances)].round(3).tolist()
             tables["goal"] = dict(zip("xy", goal, strict=True))
-        text = _with_tables(text, kind, f"{Path(vehicles[0]).stem} on {ground.stem}", tables)
+        text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
     write_new_file(text, out, force)
-    solve = f"slipfree {kind if kind in ('atlas', 'compare') else 'run'} {word}"
-    print_line(f"wrote {out}: " + f"slipfree check {word} && " * (kind != "compare") + solve)
+    solve = "atlas" if kind == "atlas" else "run"
+    print_line(f"wrote {out}: slipfree check {word} && slipfree {solve} {word}")
 
 
-def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, Any]) -> str:
+def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, dict[str, Any]]) -> str:
     """Return the text of a problem with another title, and with tables in place of its own.
 
     In a plan, tables about the motion are removed as well: they belong to the shipped ground.
     """
     own = ""
     for name, table in tables.items():
-        comment = f"  # {TABLES[name]}" if name in TABLES else ""
-        own += tomlkit.dumps({name: table}).replace("]\n", f"]{comment}\n", 1) + "\n"
+        own += f"[{name}]{f'  # {TABLES[name]}' if name in TABLES else ''}\n"
+        own += f"{tomlkit.dumps(table)}\n"
     replaced = {*tables, *(("limits", "bounds", "inputs", "time", "plan") * (kind == "plan"))}
     head, *sections = re.split(r"(?m)^(?=\[)", text)
     kept = (each for each in sections if re.findall(r"\w+", each)[0] not in replaced)

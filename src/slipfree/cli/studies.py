@@ -29,7 +29,7 @@ FIGURES = "figures"  # folder of the figures of a sweep
 def compare(
     file: console.File, settings: console.Settings = None, trust: console.Trust = None
 ) -> None:
-    """Compare the slip of several vehicles on one ground; slipfree new compare writes a problem.
+    """Compare the slip of several vehicles on one ground; a problem: slipfree examples compare_axles.
 
     Print whether each vehicle can roll without slip, and the slip that remains otherwise.
     """
