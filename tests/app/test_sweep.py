@@ -550,5 +550,3 @@ def test_a_heat_map():
     assert sorted(words.get_text() for words in ax.texts) == ["0", "1", "2", "5", "7"]
     assert ax.figure.axes[1].get_ylabel() == "slip_rms, mean [m/s]"
     assert ax.images[0].get_cmap().name == "risk"
-    margin = _swept([SPEEDS, AXLES], values)._replace(name="tip_over_margin_least")
-    assert show.heat_map(margin, Figure().subplots()).images[0].get_cmap().name == "risk_r"

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -13,7 +12,6 @@ from helpers.toy_models import task, toy
 from slipfree import Analytic, Outcome, direct_kinematics, settle
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
-from slipfree.core.facts import Fact
 from slipfree.core.records import Label
 from slipfree.plan.constraints import conflicts
 from slipfree.plan.explanation import explanation, relax, violation_words, violations
@@ -26,7 +24,6 @@ from slipfree.plan.search import Search, SearchState, solve_relaxed
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, Mesh, PlanTask, TimedCondition, transcribe
 from slipfree.plan.verification import exceeds_between
-from slipfree.problem.verbs.plan import described
 
 
 def integrator():
@@ -449,22 +446,6 @@ def test_price_of_a_limited_cost_is_its_lagrange_multiplier():
 
 
 @pytest.mark.slow
-def test_the_summary_states_a_duration_at_its_bound():
-    row = {"quantity": "duration", "unit": "s", "role": "duration", "side": "at most", "active": 1}
-    row |= {"bound": 40.0, "rate": -1.0, "share": -0.01}
-    known = "accuracy", "directions", "curvature", "weak"
-    facts = {f"plan_{name}": Fact(1.0) for name in known}
-
-    def found(side):
-        run = SimpleNamespace(
-            stop=None, facts=facts | {"plan_prices": Fact([row | {"side": side}])}
-        )
-        return described(run).get("limited_by")
-
-    assert found("at most").value == "duration at most 40 s: 0.1 s more saves 0.1 % of the cost"
-    assert found("value") is None  # a duration that the problem gives
-
-
 @pytest.mark.parametrize("limit", [{"progress": lambda _, it: it.number < 1}, {"seconds": 1e-3}])
 def test_a_plan_that_is_not_solved_has_no_prices(model, limit):
     found = planned(model, search=Search(**limit))

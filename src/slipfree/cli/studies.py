@@ -29,9 +29,10 @@ FIGURES = "figures"  # folder of the figures of a sweep
 def compare(
     file: console.File, settings: console.Settings = None, trust: console.Trust = None
 ) -> None:
-    """Compare the slip of several vehicles on one ground; a problem: slipfree examples compare_axles.
+    """Compare the slip of several vehicles on one ground.
 
-    Print whether each vehicle can roll without slip, and the slip that remains otherwise.
+    Print whether each vehicle can roll without slip, and the slip that remains otherwise. A problem
+    to begin with: slipfree examples compare_axles.
     """
     from slipfree.problem.build_ground import ground_facts
     from slipfree.problem.verbs.compare import compare as solve
