@@ -108,7 +108,8 @@ def joint_stops(q: Quantities) -> Iterator[Limit]:
 def upright(q: Quantities) -> Iterator[Limit]:
     """Yield the limit of the cosine of the platform's inclination."""
     cosine = ca.cos(q.position.roll) * ca.cos(q.position.pitch)
-    yield Limit(quantity_label(UPRIGHT), cosine, MIN_INCLINATION_COSINE, np.inf)
+    label = quantity_label(UPRIGHT, degrees=np.rad2deg(np.arccos(MIN_INCLINATION_COSINE)))
+    yield Limit(label, cosine, MIN_INCLINATION_COSINE, np.inf)
 
 
 def map_margin(q: Quantities) -> Iterator[Limit]:
