@@ -10,10 +10,10 @@ import pytest
 from helpers.cases import BOUNDED_RATES, hills, straight_on
 from helpers.toy_models import task, toy
 from slipfree import Analytic, Outcome, direct_kinematics, settle
-from slipfree.catalog import three_wheeler
+from slipfree.catalog import articulated, three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
-from slipfree.plan.constraints import conflicts
+from slipfree.plan.constraints import conflicts, with_joint_stops
 from slipfree.plan.explanation import explanation, relax, violation_words, violations
 from slipfree.plan.ipopt import TIME_STATUS, NlpSolution, solve_program
 from slipfree.plan.optimality import check_optimality, limit_prices, price_rows, prices_words
@@ -454,6 +454,20 @@ def test_a_plan_that_is_not_solved_has_no_prices(model, limit):
         "seconds" in limit
     )
     assert (found.optimality, found.prices) == (None, ())
+
+
+@pytest.mark.slow
+def test_a_steered_frame_does_not_fold_on_the_way_to_a_goal_behind():
+    """The stop of its joint holds in the first search."""
+    dae = direct_kinematics(articulated(), Analytic(lambda x, y: 0.05 * ca.sin(x) * ca.cos(y)))
+    given = {"costs": {"slip": 7e4, "effort": 0.01}, "mesh": Mesh(20, accuracy=5e-3)}
+    found = plan(dae, settle(dae), goal={"x": 0.0, "y": -5.0}, **given)
+    assert found.success
+    assert not any("bend_stop" in stage.words for stage in found.stages)
+    (stop,) = (each for each in dae.limits if each.label.full == "bend_stop")
+    assert np.abs(found.replay["bend"]).max() < stop.upper
+    kept = with_joint_stops(found.program.task)
+    assert [each.label.full for each in kept.limits].count("bend_stop") == 1
 
 
 @pytest.mark.slow

@@ -30,6 +30,7 @@ MODEL = "model"  # role of limits of the model that the program does not contain
 DURATION = "duration"
 LIMITED_SUFFIX = " is limited by the plan"  # end of the description of a limit of the plan
 FIXED_POINT_FROM = 1000.0  # larger values have three decimals, since four digits are too few
+LIMIT_CLEARANCE = 1e-5  # distance of plans from limits of the model, in their units
 BOUND_TOLERANCE = 1e-9  # largest gap between consistent bounds, in their unit
 REMEDIES = {
     "start": "start elsewhere",
@@ -71,6 +72,25 @@ class Constraint(NamedTuple):
     intervals: Index = np.zeros(0, np.intp)  # shape (n,): mesh interval of each point
     where: Index = np.zeros(0, np.intp)  # shape (n,): indices of all rows, then all unknowns
     typical: float = 0.0  # of the terms of an equation, in the label's unit; else zero
+
+
+def with_clearance(limit: Limit) -> Limit:
+    """Return a limit that is narrower by `LIMIT_CLEARANCE` on both sides."""
+    return limit._replace(lower=limit.lower + LIMIT_CLEARANCE, upper=limit.upper - LIMIT_CLEARANCE)
+
+
+def with_joint_stops(task: PlanTask) -> PlanTask:
+    """Return a task with the model's limits of single states: the stops of steered joints.
+
+    As bounds of unknowns they add no rows. Without them, joints fold at cusps of a guess, and later
+    searches find no way back.
+    """
+    have, stops = {limit.label.full for limit in task.limits}, list[Limit]()
+    for limit in task.dae.limits:
+        is_state = (variable_of(task, limit.expression) or "")[:1] == ("x",)
+        if is_state and limit.label.full not in have:
+            stops.append(with_clearance(limit))
+    return replace(task, limits=(*task.limits, *stops))
 
 
 def constraint(task: PlanTask, limit: Limit, role: str, *places: Any) -> Constraint:

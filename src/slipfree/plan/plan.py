@@ -28,6 +28,7 @@ from slipfree.core.trajectory import (
     Trajectory,
     path_length,
 )
+from slipfree.plan.constraints import with_joint_stops
 from slipfree.plan.explanation import explanation
 from slipfree.plan.guess import initial_guess
 from slipfree.plan.ipopt import NOT_LEAST_STATUSES, STOPPED_STATUS, TIME_STATUS, NlpSolution
@@ -336,7 +337,7 @@ def solve_task(
     clock, begun = time.process_time(), time.monotonic()
     check_task(task, start)
     model, former, motions = task.dae, search.resume, list(guesses)
-    task = replace(task, deadline=begun + SEARCH_SHARE * search.seconds)
+    task = replace(with_joint_stops(task), deadline=begun + SEARCH_SHARE * search.seconds)
     nominal = [float(motion.t[-1] - motion.t[0]) for motion in motions]
     if not motions and former is None:
         motion, length = initial_guess(task, start, options)

@@ -15,7 +15,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.records import Array, with_overview
 from slipfree.core.trajectory import Trajectory
-from slipfree.plan.constraints import VIOLATION_TOLERANCE
+from slipfree.plan.constraints import LIMIT_CLEARANCE, VIOLATION_TOLERANCE, with_clearance
 from slipfree.plan.explanation import Relaxation, relax
 from slipfree.plan.ipopt import (
     ENDED_STATUSES,
@@ -65,7 +65,6 @@ FUTILE_GROWTH = 4.0  # ratio of intervals after which an unchanged error has ano
 MAX_REFINED_ITERATIONS = 100  # of a search on a refined mesh, which starts near its solution
 MAX_CORRECTIONS = 5  # largest number of times that a goal or a mesh is adapted to a simulation
 MIN_IMPROVEMENT = 0.8  # ratio of errors on a finer and a coarser mesh for a further refinement
-LIMIT_CLEARANCE = 1e-5  # distance of plans from limits of the model, in their units
 PlanProgress = Callable[[str, Iterate], bool]
 
 
@@ -485,11 +484,7 @@ def _violated_limits(task: PlanTask, run: Trajectory, beyond: float) -> list[Lim
         values = run.of(limit.label)
         over = np.maximum(limit.lower - values, values - limit.upper).max()
         if over > beyond and limit.label.full not in have:
-            missed.append(
-                limit._replace(
-                    lower=limit.lower + LIMIT_CLEARANCE, upper=limit.upper - LIMIT_CLEARANCE
-                )
-            )
+            missed.append(with_clearance(limit))
     return missed
 
 

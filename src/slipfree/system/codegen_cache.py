@@ -264,12 +264,12 @@ def _compile(
     except OSError as error:
         raise _UnavailableError(_unusable(cache, error)) from error
     except subprocess.SubprocessError as error:
-        how = "failed"
+        how, remedy = "failed", "set CC to another C compiler"
         if isinstance(error, subprocess.TimeoutExpired):
             how = f"took more than {error.timeout:.3g} s"
-        raise _UnavailableError(
-            f"{shlex.join(command)}: the C compiler {how}; set CC to another C compiler"
-        ) from error
+            if error.timeout < COMPILER_TIMEOUT:
+                how, remedy = f"{how}, its share of plan.seconds", "raise plan.seconds"
+        raise _UnavailableError(f"{shlex.join(command)}: the C compiler {how}; {remedy}") from error
     # the least recently used libraries, and the leftovers of interrupted compilations
     ages = dict[Path, float]()
     for file in cache.iterdir():
