@@ -38,9 +38,8 @@ from slipfree.plan.constraints import (
 from slipfree.plan.ipopt import IPOPT_TOLERANCE, NlpSolution
 from slipfree.plan.transcription import Index, Program
 
-WEAK = float(
-    np.sqrt(IPOPT_TOLERANCE)
-)  # largest distance and relative multiplier of a weakly active bound
+# largest distance and relative multiplier of a weakly active bound
+WEAK = float(np.sqrt(IPOPT_TOLERANCE))
 REGULARISATION = 1e-12  # of the KKT matrix, for dependent constraints
 LANCZOS_STEPS = 40  # number of Lanczos steps for the extreme eigenvalues
 ROUNDING = 1e-10  # eigenvalues below this fraction of the largest one count as zero

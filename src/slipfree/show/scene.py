@@ -144,9 +144,8 @@ class SceneBody(NamedTuple):
     """A rigid body over time."""
 
     name: str  # name of the part or the wheel
-    meshes: tuple[
-        tuple[TriangleMesh, Color], ...
-    ]  # meshes in the frame of the body, with their colours
+    # meshes in the frame of the body, with their colours
+    meshes: tuple[tuple[TriangleMesh, Color], ...]
     origins: Array  # shape (n, 3): origins of the body's frame in the scene [m]
     rotations: Array  # shape (n, 3, 3): from the body's frame to the scene
 

@@ -131,9 +131,8 @@ class Tree:
     root: str
     links: dict[str, Link]
     joints: dict[str, UrdfJoint]  # joints by name, parents before children
-    evidence: Mapping[str, Sequence[Evidence]] = field(
-        default_factory=dict
-    )  # of actuators and springs, by joint
+    # of actuators and springs, by joint
+    evidence: Mapping[str, Sequence[Evidence]] = field(default_factory=dict)
     plugins: tuple[Plugin, ...] = ()  # of simulators
     omitted: tuple[str, ...] = ()  # links with unexpanded xacro, and the links below them
     notes: tuple[str, ...] = ()  # notes on values that replace expressions of xacro
