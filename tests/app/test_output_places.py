@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from helpers.commands import invoke, refused
-from helpers.problem_files import PROBLEM
+from helpers.problem_files import FIT, PROBLEM
 from slipfree.files import netcdf
 
 LINE = PROBLEM.count("\n") + 2  # of the key in _problem
@@ -138,12 +138,6 @@ def test_a_problem_names_results_by_their_ending(monkeypatch):
     assert told.endswith("use .zshrc.nc\n")
 
 
-FIT = """
-verb = "fit"
-vehicle = { catalog = "rigid_skid_steer" }
-data = { file = "x.csv", window = 1.0 }
-unknowns.track = {}
-"""
 WHEEL = """
 wheel = { radius = 0.09, width = 0.11, load = 64.0 }
 soil = { name = "lunar" }

@@ -25,4 +25,10 @@ FILE = (
     + '[terrain]\nfile = "g.npz"\n\n'
     + VALID[VALID.index("[vehicle]") :]
 )
+FIT = """
+verb = "fit"
+vehicle = { catalog = "rigid_skid_steer" }
+data = { file = "x.csv", window = 1.0 }
+unknowns.track = {}
+"""
 PROBLEM = (DATA / "straight_flat.toml").read_text(encoding="utf-8")

@@ -19,7 +19,7 @@ import slipfree as sf
 import slipfree.__main__ as entry
 from helpers.cases import BOUNDED_RATES, PROBLEMS, hills, straight_on
 from helpers.commands import error_of, invoke, press, pressing, sets
-from helpers.problem_files import PROBLEM
+from helpers.problem_files import FIT, PROBLEM
 from helpers.toy_models import model
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Nlp
@@ -501,14 +501,6 @@ def test_a_plan_whose_verification_fails_is_kept(folder, monkeypatch):
     assert "IDA_CONV_FAIL" in kept.stop.words
 
 
-FIT = """
-verb = "fit"
-vehicle = { catalog = "rigid_skid_steer" }
-data = { file = "log.csv", window = 1.0 }
-unknowns.track = {}
-"""
-
-
 @pytest.mark.parametrize(("at", "rows"), [(1, 0), (4, 1)], ids=["start", "accepted step"])
 def test_a_fit_keeps_its_last_accepted_estimate(folder, monkeypatch, at, rows):
     t = np.linspace(0, 12, 13)
@@ -517,7 +509,7 @@ def test_a_fit_keeps_its_last_accepted_estimate(folder, monkeypatch, at, rows):
     columns = [t, 5 * np.cos(turned), 5 * np.sin(turned), turned + np.pi]
     columns += [np.full(t.size, 6.0 if "left" in name else 3.0) for name in names]
     head = ["time", "x", "y", "heading", *(f"{name}_rate" for name in names)]
-    write_rows(folder / "log.csv", head, np.column_stack(columns).tolist())
+    write_rows(folder / "x.csv", head, np.column_stack(columns).tolist())
     (folder / "fit.toml").write_text(FIT)
     pressed, _ = pressing(drives.simulate, at)
     monkeypatch.setattr(drives, "simulate", pressed)
