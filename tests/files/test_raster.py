@@ -21,6 +21,7 @@ from rasterio.warp import transform
 from scipy.io import netcdf_file
 
 from helpers import rasters
+from helpers.fuzz_maps import SIDECARS
 from helpers.rasters import from_origin, refuses
 from slipfree import DataError, ModelError
 from slipfree.files.maps.elevation import read_map
@@ -45,6 +46,7 @@ def geotiff(path, rows=ROWS, *, transform=None, tags=None, name="", **options):
     return path
 
 
+AREA = {"cell": 1.0, "registration": "area"}  # of a raster without a place
 TILED = {"tiled": True, "blockxsize": 64, "blockysize": 64}
 
 
@@ -166,12 +168,7 @@ def test_files_beside_a_raster_do_not_change_it(tmp_path):
     """Scales, places, systems and masks of other files; world files of an unplaced raster."""
     path = geotiff(tmp_path / "map.tif")
     alone = read_map(path)
-    (tmp_path / "map.tif.aux.xml").write_text(
-        "<PAMDataset><SRS>EPSG:3857</SRS><GeoTransform>0,9,0,0,0,-9</GeoTransform>"
-        '<Metadata><MDI key="AREA_OR_POINT">Point</MDI></Metadata><PAMRasterBand band="1">'
-        "<Scale>1000</Scale><Offset>7</Offset><NoDataValue>0.5</NoDataValue></PAMRasterBand>"
-        "</PAMDataset>"
-    )
+    (tmp_path / "map.tif.aux.xml").write_bytes(SIDECARS[".tif.aux.xml"])
     mask = geotiff(
         tmp_path / "mask.tif", 0 * ROWS, dtype="uint8", tags={"INTERNAL_MASK_FLAGS_1": 2}
     )
@@ -181,7 +178,7 @@ def test_files_beside_a_raster_do_not_change_it(tmp_path):
     assert_array_equal(found.grid.z, alone.grid.z)
     assert (found.crs, found.facts) == (alone.crs, alone.facts)
     path = plain(tmp_path / "bare.tif")
-    (tmp_path / "bare.tfw").write_text("0.5\n0\n0\n-0.5\n1000\n2000\n")
+    (tmp_path / "bare.tfw").write_bytes(SIDECARS[".tfw"])
     refuses(path, r"expected cell and registration .* world files .*not read")
 
 
@@ -400,13 +397,11 @@ def test_pictures_that_programs_turn_are_refused(tmp_path, ending):
     tags, path = Image.Exif(), tmp_path / f"map.{ending}"
     tags[274] = 4
     Image.fromarray(BYTES).save(path, exif=tags)
-    refuses(
-        path, "rows from north to south, found the orientation 4", cell=1.0, registration="area"
-    )
+    refuses(path, "rows from north to south, found the orientation 4", **AREA)
     with warnings.catch_warnings(action="ignore"):
         options = {"photometric": "miniswhite", "crs": None, "transform": Affine.identity()}
         path = geotiff(tmp_path / "map.tif", 40 * ROWS, dtype="uint8", **options)
-    refuses(path, "levels that rise to white, .* --calc=255-A", cell=1.0, registration="area")
+    refuses(path, "levels that rise to white, .* --calc=255-A", **AREA)
 
 
 @pytest.mark.parametrize("name", GRAY)
@@ -439,19 +434,18 @@ def test_gray_pictures_of_all_formats(tmp_path, name):
 def test_other_contents_are_named(tmp_path, name, content, words):
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    refuses(tmp_path / name, words, cell=1.0, registration="area")
+    refuses(tmp_path / name, words, **AREA)
 
 
 def test_damaged_files_lead_to_one_error(tmp_path):
     path = plain(tmp_path / "map.png", np.arange(400).reshape(20, 20), "I;16")
-    keys = {"cell": 1.0, "registration": "area"}
-    for file, more in ((geotiff(tmp_path / "map.tif", compress="deflate"), {}), (path, keys)):
+    for file, more in ((geotiff(tmp_path / "map.tif", compress="deflate"), {}), (path, AREA)):
         whole = file.read_bytes()
         for content in (b"", b"no TIFF", whole[:20], whole[:-60], b"GIF89a" + whole[6:]):
             file.write_bytes(content)
             refuses(file, rf"{file.name}: expected a readable (GeoTIFF|PNG), .*damaged", **more)
     Image.fromarray(np.arange(36, dtype="uint8").reshape(6, 6)).save(path, transparency=9)
-    found = read_map(path, cell=1.0, registration="area").grid
+    found = read_map(path, **AREA).grid
     assert np.argwhere(found.holes).tolist() == [[3, 4]]
 
 
@@ -464,12 +458,7 @@ def test_a_picture_larger_than_memory_is_refused_unread(tmp_path):
     head = chunk(b"IHDR", struct.pack(">IIBBBBB", 30000, 30000, 16, 0, 0, 0, 0))
     path = tmp_path / "map.png"
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", b"") + chunk(b"IEND", b""))
-    refuses(
-        path,
-        r"at most 5e\+07 nodes, found 9e\+08 .* window = \[x_min",
-        cell=1.0,
-        registration="area",
-    )
+    refuses(path, r"at most 5e\+07 nodes, found 9e\+08 .* window = \[x_min", **AREA)
 
 
 @pytest.mark.parametrize(
@@ -534,7 +523,7 @@ def test_gray_levels_are_told_from_heights(tmp_path, dtype, options, gray):
     """Gray levels have 8 bits, or are unsigned without a position: as PNGs that were converted."""
     with warnings.catch_warnings(action="ignore"):
         path = geotiff(tmp_path / "map.tif", np.round(100 * ROWS), dtype=dtype, **options)
-    keys = {"cell": 1.0, "registration": "area"} if "transform" in options else {}
+    keys = AREA if "transform" in options else {}
     assert read_map(path, **keys).gray is gray
     with warnings.catch_warnings(action="ignore"), rasterio.open(path, "r+") as file:
         file.scales = (0.1,)
@@ -595,7 +584,7 @@ def test_coordinates_of_netcdf_files(tmp_path, changes, words):
     assert_array_equal(np.where(found.holes, 0, found.z - ROWS.T), 0)
     refuses(netcdf(tmp_path / "map.nc", **changes), f"map.nc: expected .*{words}")
     if not changes.get("x", True):
-        refuses(tmp_path / "map.nc", words, cell=1.0, registration="area")
+        refuses(tmp_path / "map.nc", words, **AREA)
 
 
 def test_a_damaged_header_of_netcdf_claims_no_memory(tmp_path):

@@ -283,30 +283,7 @@ def test_names_tell_forward(pattern, yaw, axis, tmp_path):
 REAR_STEERED = TWO.replace("left", "a").replace("right", "b") + steered("c", "-0.5 0 0")
 
 
-def test_evidence_that_disagrees_is_a_question_or_a_note(tmp_path):
-    for parts, words in (
-        (
-            wheels("{end}_{side}_wheel", {"front": -0.3, "rear": 0.3}),
-            "names of front and rear (-x)",
-        ),
-        (
-            FOUR.replace('xyz="0 1 0"', 'xyz="1 0 0"').replace(
-                f'"{pi / 2} 0 0"', f'"0 {pi / 2} 0"'
-            ),
-            "correct the axes of the wheels, or write",
-        ),
-        (
-            wheels("w{end}{side}", {"1": 0.3, "2": -0.3}, yaw=pi / 2)
-            .replace("left", "3")
-            .replace("right", "4")
-            .replace('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', 2),
-            "no name distinguishes front from rear",
-        ),
-    ):
-        caught = error_of(VehicleError, read_vehicle, written(tmp_path, parts))
-        assert words in str(caught)
-        line = str(caught).split("write ")[1].split(" or ")[0]
-        assert len(read_vehicle(written(tmp_path, parts, line)).wheels) == 4
+def test_steered_wheels_in_the_rear_are_noted_against_the_names(tmp_path):
     (note,) = [n for n in read_vehicle(written(tmp_path, REAR_STEERED)).notes if "forward" in n]
     assert "steered wheels (-x)" in note
     assert note.endswith('otherwise write forward = "-x"')
@@ -760,37 +737,6 @@ def test_vehicles_of_offered_lines_stand_on_level_ground(name, tmp_path):
         assert not describe(written(tmp_path, parts, line)).faults, line
 
 
-# parts, number of lines, of wheels and of coordinates by line
-ASKED = {
-    "named rockers with positions": (
-        rocker_bogie() + each(ROCKERS, transmission, "Position"), 6, (3, 4)
-    ),
-    "arms with efforts": (arms("part") + each(PIVOTS["part"], transmission, "Effort"), 4, (0, 2)),
-    "two placeholders": (sized(0.01, 0.05), 4, (0, 0)),
-    "names along the axles": (
-        FOUR.replace('xyz="0 1 0"', 'xyz="1 0 0"').replace(f'"{pi / 2} 0 0"', f'"0 {pi / 2} 0"'),
-        4, (0, 0),
-    ),
-    "a wheel in the air": (FOUR.replace("0.2 -0.15 0", "0.2 -0.15 0.3", 1), 4, (0, 0)),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", ASKED)
-def test_a_contradiction_asks_with_lines_that_answer(name, tmp_path):
-    parts, count, coordinates = ASKED[name]
-    caught = error_of(VehicleError, read_vehicle, written(tmp_path, parts))
-    lines = offered(str(caught))
-    assert len(lines) == 2
-    for line, number in zip(lines, coordinates, strict=True):
-        path = written(tmp_path, parts, line)
-        vehicle = read_vehicle(path)
-        assert len(vehicle.wheels) in (count, 3)
-        assert len(vehicle.coordinates) == number
-        assert min(each.radius for each in vehicle.wheels) >= 0.05
-        assert not describe(path).faults
-    assert not offered("\n".join(caught.draft.notes))
-
-
 BARE = FOUR.replace(WHEEL, "").replace("continuous", "fixed").replace("_left", "_left_wheel")
 BARE = BARE.replace("_right", "_right_wheel")
 UPRIGHT_AXLES = corners(wheel).replace('xyz="0 1 0"', 'xyz="0 0 1"')
@@ -798,24 +744,60 @@ TRACKS = fixed("leftTrack", "0 0.3 0") + fixed("rightTrack", "0 -0.3 0")
 LEGS = "".join(limb(f"leg_{k}", more=LIMIT) for k in range(4))
 
 
-@pytest.mark.parametrize(
-    ("parts", "words", "count"),
-    [
-        (UPRIGHT_AXLES, "the axles of the wheels are missing: front_left_wheel_joint, ", 0),
-        (TRACKS, "tracks are not modelled (leftTrack, rightTrack): describe each as a row of", 0),
-        (plugin("libTrackedVehicle.so"), "tracks are not modelled (libTrackedVehicle.so)", 0),
-        (LEGS, "legs are not modelled (leg_0_joint, leg_1_joint, leg_2_joint, leg_3_joint)", 0),
-        (TWO, "add wheels to the URDF", 0),
-        (BARE, "add wheels to the URDF", 1),
-    ],
-)
-def test_what_is_missing_is_named_and_remedies_work(parts, words, count, tmp_path):
+# parts, words of the error, numbers of wheels and of coordinates by line
+PLAIN = ((4, 0), (4, 0))
+ASKED = {
+    "named rockers with positions": (
+        rocker_bogie() + each(ROCKERS, transmission, "Position"), "", ((6, 3), (6, 4))
+    ),
+    "arms with efforts": (
+        arms("part") + each(PIVOTS["part"], transmission, "Effort"), "", ((4, 0), (4, 2))
+    ),
+    "two placeholders": (sized(0.01, 0.05), "", PLAIN),
+    "names along the axles": (
+        FOUR.replace('xyz="0 1 0"', 'xyz="1 0 0"').replace(f'"{pi / 2} 0 0"', f'"0 {pi / 2} 0"'),
+        "correct the axes of the wheels, or write", PLAIN,
+    ),
+    "names against the axles": (
+        wheels("{end}_{side}_wheel", {"front": -0.3, "rear": 0.3}),
+        "names of front and rear (-x)", PLAIN,
+    ),
+    "numbers along the axles": (
+        wheels("w{end}{side}", {"1": 0.3, "2": -0.3}, yaw=pi / 2).replace("left", "3")
+        .replace("right", "4").replace('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', 2),
+        "no name distinguishes front from rear", PLAIN,
+    ),
+    "a wheel in the air": (FOUR.replace("0.2 -0.15 0", "0.2 -0.15 0.3", 1), "", ((4, 0), (3, 0))),
+    "upright axles": (
+        UPRIGHT_AXLES, "the axles of the wheels are missing: front_left_wheel_joint, ", ()
+    ),
+    "tracks": (
+        TRACKS, "tracks are not modelled (leftTrack, rightTrack): describe each as a row of", ()
+    ),
+    "plugin of tracks": (
+        plugin("libTrackedVehicle.so"), "tracks are not modelled (libTrackedVehicle.so)", ()
+    ),
+    "legs": (
+        LEGS, "legs are not modelled (leg_0_joint, leg_1_joint, leg_2_joint, leg_3_joint)", ()
+    ),
+    "two wheels": (TWO, "add wheels to the URDF", ()),
+    "wheels by name alone": (BARE, "add wheels to the URDF", ((4, 0),)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_what_is_missing_or_contradicts_asks_with_lines_that_answer(name, tmp_path):
+    parts, words, numbers = ASKED[name]
     caught = error_of(VehicleError, read_vehicle, written(tmp_path, parts))
     assert words in str(caught)
     lines = offered(str(caught))
-    assert len(lines) == count
-    for line in lines:
-        assert len(read_vehicle(written(tmp_path, parts, line)).wheels) == 4
+    for line, counts in zip(lines, numbers, strict=True):
+        path = written(tmp_path, parts, line)
+        vehicle = read_vehicle(path)
+        assert (len(vehicle.wheels), len(vehicle.coordinates)) == counts
+        assert min(each.radius for each in vehicle.wheels) >= 0.05
+        assert not describe(path).faults
+    assert not offered("\n".join(caught.draft.notes))
 
 
 def test_mecanum_wheels_of_a_plugin_have_rollers(tmp_path):

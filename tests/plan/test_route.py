@@ -171,17 +171,16 @@ def test_keep_out_is_blocked_as_far_as_wheels_reach():
 
 
 def test_bad_options_are_refused():
+    terrain = sf.Bicubic(blank((0, 20), (0, 20), 0.5))
     for options, message in (
         ({"spacing": 0.0}, "spacing: expected a number > 0, found 0.0"),
         ({"spacing": 11.0}, r"half the smaller side of the map, 10 m, found 11 m"),
     ):
-        with pytest.raises(sf.ModelError, match=message):
-            free_space(sf.Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER, **options)
+        refuses(sf.ModelError, message, free_space, terrain, ROVER, **options)
+    ends, words = ((10.0, 5.0), (15.0, 5.0)), r"turning_radius: expected a (numb|fin)"
     for radius in (-1.0, np.inf):
-        with pytest.raises(sf.ModelError, match=r"turning_radius: expected a (numb|fin)"):
-            route(plain(), (10.0, 5.0), (15.0, 5.0), turning_radius=radius)
-    with pytest.raises(sf.ModelError, match="count: expected a number >= 1, found 0"):
-        routes(plain(), (10.0, 5.0), (15.0, 5.0), 0)
+        refuses(sf.ModelError, words, route, plain(), *ends, turning_radius=radius)
+    refuses(sf.ModelError, "count: expected a number >= 1, found 0", routes, plain(), *ends, 0)
 
 
 # Search and smoothing
@@ -528,7 +527,7 @@ def test_polygon_describes_itself():
 
 
 @pytest.mark.parametrize(
-    ("points", "message"),
+    ("given", "message"),
     [
         (((0, 0), (1, 1)), r"three points \(x, y\), found 2"),
         (((0, 0), (1, 0), (np.nan, 1)), "points.2..0.: expected a number, found float nan"),
@@ -537,27 +536,20 @@ def test_polygon_describes_itself():
         (((0, 0), (4, 0), (4, 4), (2, 0), (0, 4)), "edge 1-2 crosses or touches edge 3-4"),
         (((0, 0), (4, 0), (1, 1), (3, 1), (0, -2)), "edge 1-2 crosses or touches edge 4-5"),
         (((0, 0), (4, 0), (2, 0), (0, 3)), "edges at point 2 fold back"),
+        ((0.0, 0.0, 0.0), "radius: expected a"),
+        ((0.0, 0.0, np.nan), "radius: expected a"),
+        ((np.nan, 0.0, 1.0), "x: expected a number, found float nan"),
     ],
 )
-def test_bad_polygons_are_refused(points, message):
-    refuses(sf.ModelError, message, sf.Region.polygon, points)
-
-
-def test_bad_discs_are_refused():
-    for radius in (0.0, np.nan):
-        refuses(sf.ModelError, "radius: expected a", sf.Region.disc, 0.0, 0.0, radius)
-    refuses(
-        sf.ModelError, r"x: expected a number, found float nan", sf.Region.disc, np.nan, 0.0, 1.0
-    )
+def test_bad_regions_are_refused(given, message):
+    """Polygons of their points, and discs of numbers."""
+    make = sf.Region.disc if isinstance(given[0], float) else sf.Region.polygon
+    refuses(sf.ModelError, message, make, *(given if make is sf.Region.disc else [given]))
 
 
 # Invalid positions on a map are reported by name before a search
 
 START = ("start", 5.0, 5.0)
-
-
-def flat(**options):
-    return free_space(sf.Bicubic(blank((0, 30), (0, 30), 0.25), mu=0.6), ROVER, **options)
 
 
 def told(layers, *places):
@@ -566,7 +558,7 @@ def told(layers, *places):
 
 def test_all_that_is_wrong_is_told():
     """In some headings there is room at the edge: it is not sure that no motion passes there."""
-    layers = flat(keep_out=[sf.Region.disc(20.0, 20.0, 2.0)])
+    layers = plain(30, 0.25, keep_out=[sf.Region.disc(20.0, 20.0, 2.0)])
     inside, outside = told(
         layers, START, ("way-point 1", 0.5, 10.0), ("way-point 2", 20.0, 20.0), ("goal", 33.5, 10.0)
     )
@@ -579,7 +571,8 @@ def test_all_that_is_wrong_is_told():
 
 
 def test_the_distance_to_a_place_to_keep_out_of_is_that_of_the_point_not_of_its_node():
-    layers = flat(keep_out=[sf.Region.disc(20.0, 20.0, 2.0), sf.Region.disc(25.0, 10.0, 1.0)])
+    keep_out = [sf.Region.disc(20.0, 20.0, 2.0), sf.Region.disc(25.0, 10.0, 1.0)]
+    layers = plain(30, 0.25, keep_out=keep_out)
     reach = layers.limits.reach
     ((_, words),) = told(layers, START, ("goal", 20.0 + 2.0 + reach - 0.01, 20.0))
     assert "1.41 m from the keep-out disc at (20, 20) of 2 m radius, and wheels" in words
@@ -606,13 +599,13 @@ def test_friction_that_holds_no_heading_is_told_with_its_factor():
 
 def test_places_to_keep_out_of_that_divide_the_map():
     disc, ends = sf.Region.disc(5.0, 25.0, 1.0), [START, ("goal", 25.0, 25.0)]
-    ((place, words),) = told(flat(keep_out=[disc, box(0, 30, 14, 16)]), *ends)
+    ((place, words),) = told(plain(30, 0.25, keep_out=[disc, box(0, 30, 14, 16)]), *ends)
     assert place == "goal"
     assert words.endswith(
         "the keep-out polygon of 4 points about (15, 15) lies between them, and no route leads "
         "around it; make it smaller or move it"
     )
-    together = flat(keep_out=[box(0, 16, 14, 16), disc, box(17, 30, 14, 16)])
+    together = plain(30, 0.25, keep_out=[box(0, 16, 14, 16), disc, box(17, 30, 14, 16)])
     ((_, words),) = told(together, *ends)
     assert (
         "several keep-out regions together separate them: polygon of 4 points about (8, 15), "

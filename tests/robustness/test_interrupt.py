@@ -92,25 +92,19 @@ def test_what_was_raised_before_a_callback_ends_it():
     assert seen == []
 
 
-def test_a_handler_that_only_remembers_stays_what_it_is():
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_handler_that_does_not_raise_stays_what_it_is(ignored):
+    """One that only remembers Ctrl-C is called once; where it is ignored, nobody is interrupted."""
     seen = []
-    signal.signal(signal.SIGINT, lambda *_: seen.append(1))
+    handler = signal.SIG_IGN if ignored else lambda *_: seen.append(1)
+    signal.signal(signal.SIGINT, handler)
     try:
         with interrupt.InterruptGuard():
             press()
+        assert signal.getsignal(signal.SIGINT) == handler
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    assert seen == [1]
-
-
-def test_nobody_is_interrupted_where_ctrl_c_is_ignored():
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        with interrupt.InterruptGuard():
-            press()
-        assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    assert seen == [1] * (not ignored)
 
 
 @pytest.mark.parametrize(("name", "at"), [("_int_to_enum", 2), ("_enum_to_int", 3)])
@@ -336,10 +330,12 @@ def _ends(number):
 # The command line
 
 
-@interrupt.held_interrupt()
-def _held(*calls):
+def _called(*calls):
     for call in calls:
         call()
+
+
+_held = interrupt.held_interrupt()(_called)
 
 
 @pytest.mark.parametrize(
@@ -353,12 +349,7 @@ def test_a_held_interrupt_comes_once(calls):
 
 
 def test_preparations_before_the_first_poll_are_ended_at_once():
-    @interrupt.held_interrupt(from_first_poll=True)
-    def run(*calls):
-        for call in calls:
-            call()
-
-    reached = []
+    run, reached = interrupt.held_interrupt(from_first_poll=True)(_called), []
     with pytest.raises(KeyboardInterrupt):
         run(press, lambda: reached.append("preparations"))
     with pytest.raises(KeyboardInterrupt):
