@@ -16,6 +16,7 @@ import numpy as np
 from common import PROBLEMS, run_parts
 
 from helpers.cases import hills
+from helpers.dynamics import slope
 from helpers.friction_cases import (
     PLACE,
     RATES,
@@ -24,7 +25,6 @@ from helpers.friction_cases import (
     from_linear,
     from_rolling,
     order,
-    slope,
 )
 from slipfree import (
     Analytic,
@@ -111,21 +111,21 @@ def standing() -> None:
         cells = []
         for (degrees, way), lab in zip(PLACES, LAB[name], strict=True):
             start = {"heading": np.radians(way)}
-            ground = slope(np.radians(degrees))
+            ground = slope(degrees)
             run = settle(direct_kinematics(vehicle, ground), **start)
             best = best_utilisation(vehicle, ground, run)["utilisation_best"][0]
-            exists = least_mu(vehicle, np.radians(degrees), start)
+            exists = least_mu(vehicle, degrees, start)
             known = "-" if wheel_mass else f"{lab:.3f}"  # the lab's wheels have no mass
             cells.append(f"{best:.4f} / {exists:.4f} / {known}")
         print(f"{name:14} {wheel_mass:g} kg   " + "".join(f"{cell:24}" for cell in cells))
 
 
-def least_mu(vehicle: Any, angle: float, start: dict[str, float]) -> float:
+def least_mu(vehicle: Any, degrees: float, start: dict[str, float]) -> float:
     """Return the least coefficient at which an equilibrium with friction is found."""
     low, high = 0.0, 3.0
     for _ in range(14):
         mu = (low + high) / 2
-        dae = quasi_statics(vehicle, slope(angle, mu), law=Coulomb(1e-3))
+        dae = quasi_statics(vehicle, slope(degrees, mu), law=Coulomb(1e-3))
         try:
             settle(dae, **start)
             high = mu

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from helpers.cases import DATA, PROBLEMS
 from helpers.commands import invoke, printed, sets
-from helpers.friction_cases import slope
+from helpers.dynamics import slope
 from slipfree import direct_kinematics, settle
 from slipfree.catalog import three_wheeler
 from slipfree.files import netcdf
@@ -199,7 +199,7 @@ def test_least_friction_on_which_the_axles_stand(axle, discs, expected):
     for (degrees, way), mu in zip(
         ((10, 90), (20, 90), (20, 45), (20, 0), (20, 180)), expected, strict=True
     ):
-        ground = slope(np.radians(degrees))
+        ground = slope(degrees)
         start = settle(direct_kinematics(vehicle, ground), heading=np.radians(way))
         found = best_utilisation(vehicle, ground, start)["utilisation_best"][0]
         assert found == pytest.approx(mu, rel=0.02)

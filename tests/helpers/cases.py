@@ -38,6 +38,14 @@ def hills(x, y):
     return 2 + rolling + 0.05 * ca.sin(1.7 * y + 0.2 * x)
 
 
+def rough_hills(half, count, noise, seed):
+    """Hills with normal errors of the heights of ``count`` nodes along each side of a square."""
+    axis = np.linspace(-half, half, count)
+    x, y = np.meshgrid(axis, axis, indexing="ij")
+    errors = noise * np.random.default_rng(seed).normal(size=x.shape)
+    return Bicubic(Grid(axis, axis, np.array(hills(ca.DM(x), ca.DM(y))) + errors))
+
+
 def case1():
     """The reference motion: ground, and samples by name."""
     grid = np.load(DATA / "case1.npz")

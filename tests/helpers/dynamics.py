@@ -1,6 +1,7 @@
 """Grounds, a car and motions for tests of dynamics."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -11,9 +12,11 @@ from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint, Vehicl
 FLAT = Analytic(lambda x, y: 0 * (x + y), mu=0.8)
 
 
-def slope(degrees, mu=0.8):
-    """Return a plane that rises along y."""
-    return Analytic(lambda x, y: np.tan(np.deg2rad(degrees)) * y + 0 * x, mu=mu)
+@cache  # the same ground each time, so that its models are found again
+def slope(degrees, mu=None, across=False):
+    """Return a plane that rises along y, or along x."""
+    rise = np.tan(np.radians(degrees))
+    return Analytic(lambda x, y: rise * (x if across else y) + 0 * (x + y), mu=mu)
 
 
 def states(model, **values):

@@ -8,6 +8,7 @@ import numpy as np
 
 import slipfree as sf
 from helpers.cases import hills
+from helpers.dynamics import slope
 from slipfree.catalog import three_wheeler
 from slipfree.core.records import leaves
 from slipfree.solve.system import solve_initial_conditions, with_inputs
@@ -24,12 +25,6 @@ T = np.linspace(0, 10, 101)
 def flat(x, _):
     """Level ground."""
     return 0 * x
-
-
-def slope(angle, mu=None, across=False):
-    """A plane that rises along y, or along x."""
-    rise = np.tan(angle)
-    return sf.Analytic(lambda x, y: rise * (x if across else y) + 0 * x + 0 * y, mu=mu)
 
 
 def moved(vehicle, ground, law, t, rates=None, tolerance=1e-8, **start):
@@ -153,7 +148,7 @@ def least_slip_rates():
 
 def random_starts(axle, mu, eps, count, rng) -> tuple[int, float]:
     """Return how many of Newton's runs converge, and how far apart their solutions lie at most."""
-    ground = slope(np.radians(8), mu)
+    ground = slope(8, mu)
     vehicle = three_wheeler(axle=axle)
     dae = sf.quasi_statics(vehicle, ground, law=sf.Coulomb(eps))
     tilts = {"tilt_right": 0.05, "tilt_left": -0.03} if axle == "tilting" else {}

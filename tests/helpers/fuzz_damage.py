@@ -72,6 +72,11 @@ def damaged(data: bytes, rng: Random) -> bytes:
     return data
 
 
+def perhaps_damaged(kind: str, name: str, data: bytes, rng: Random, share: float) -> Case:
+    """Return a case of one file, which is damaged in a share of the cases."""
+    return Case(kind, {name: damaged(data, rng) if rng.random() < share else data}, name)
+
+
 def _cut(data: bytes, rng: Random) -> bytes:
     return data[: rng.randint(0, len(data))]
 

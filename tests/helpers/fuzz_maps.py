@@ -15,7 +15,7 @@ import numpy as np
 import rasterio.shutil
 from PIL import Image
 
-from helpers.fuzz_damage import NUMBERS, ODD, Case, damaged
+from helpers.fuzz_damage import NUMBERS, ODD, Case, damaged, perhaps_damaged
 from helpers.rasters import from_origin, geotiff
 
 
@@ -46,9 +46,7 @@ def ascii_grid(kind: str, rng: Random) -> Case:
         for _ in range(rows)
     ]
     raw = ("\n".join([*(f"{k} {v}" for k, v in heads), *lines]) + "\n").encode()
-    return Case(
-        kind, {"ground.asc": damaged(raw, rng) if rng.random() < 0.3 else raw}, "ground.asc"
-    )
+    return perhaps_damaged(kind, "ground.asc", raw, rng, 0.3)
 
 
 def points(kind: str, rng: Random) -> Case:
@@ -65,7 +63,7 @@ def points(kind: str, rng: Random) -> Case:
         lines.insert(0, sign.join(rng.sample(["x", "y", "z", "X", "h"], 3)))
     raw = "\n".join(lines).encode()
     name = rng.choice(["ground.csv", "ground.xyz", "ground.txt"])
-    return Case(kind, {name: damaged(raw, rng) if rng.random() < 0.4 else raw}, name)
+    return perhaps_damaged(kind, name, raw, rng, 0.4)
 
 
 def ply(
@@ -147,9 +145,7 @@ def cloud(kind: str, rng: Random) -> Case:
             [b"float", b"vertex", b"F F F", b"4 4 4", b"1 1 1", str(len(points)).encode()]
         )
         raw = raw.replace(old, str(rng.choice([*NUMBERS, 10**9, "1e9", "x", "double"])).encode(), 1)
-    return Case(
-        kind, {f"ground.{kind}": damaged(raw, rng) if rng.random() < 0.4 else raw}, f"ground.{kind}"
-    )
+    return perhaps_damaged(kind, f"ground.{kind}", raw, rng, 0.4)
 
 
 def archive(kind: str, rng: Random) -> Case:
@@ -252,10 +248,7 @@ def pictures(ending: str) -> tuple[bytes, ...]:
 
 def picture(kind: str, rng: Random) -> Case:
     """Return a raster of a kind that is its ending, mostly damaged."""
-    raw = rng.choice(pictures(kind))
-    return Case(
-        kind, {f"ground.{kind}": damaged(raw, rng) if rng.random() < 0.9 else raw}, f"ground.{kind}"
-    )
+    return perhaps_damaged(kind, f"ground.{kind}", rng.choice(pictures(kind)), rng, 0.9)
 
 
 def raster(_: str, rng: Random) -> Case:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import slipfree as sf
-from helpers.vehicles import all_steered, four_wheels, skid_steered
+from helpers.vehicles import all_steered, four_wheels, part_frames, skid_steered
 from slipfree.catalog import three_wheeler
 from slipfree.core.records import leaves
 from slipfree.problem.schema import SLIP_LAWS
@@ -28,7 +28,6 @@ from slipfree.terrain.synthetic import blank, craters, power_law, ramp, rocks
 SIDE = 12.0  # of a map, in the middle of which the vehicles start [m]
 UTM = (431_250.0, 5_312_740.0, 812.0)  # where maps with large coordinates lie [m]
 STENCIL = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12  # first derivative, fourth order
-AXES = {"x": np.eye(3)[0], "y": np.eye(3)[1], "z": np.eye(3)[2]}
 
 
 class Case(NamedTuple):
@@ -460,15 +459,7 @@ def _own_words(case: Case, run: Any, faults: list[str], sizes: dict[str, float],
 
 def chain(vehicle: sf.Vehicle, run: Any, origin: Any) -> tuple[np.ndarray, list[Rotation]]:
     """Return wheel centres, shape (n, n_wheels, 3), and carriers' rotations from saved poses."""
-    angles = np.stack([run[name] for name in ("heading", "roll", "pitch")], -1)
-    base = np.stack([run[name] - o for name, o in zip("xyz", origin, strict=True)], -1)
-    parts = {"platform": (base, Rotation.from_euler("ZYX", angles))}
-    for joint in vehicle.joints:
-        place, turn = parts[joint.parent]
-        value, axis = run[joint.value][:, None], AXES[joint.axis]
-        slides = joint.motion == "slide"
-        place = place + turn.apply(joint.at + value * axis * slides)
-        parts[joint.name] = place, turn * Rotation.from_rotvec(value * axis * (not slides))
+    parts = part_frames(vehicle, run, origin)
     wheels = [(*parts[wheel.parent], wheel.at) for wheel in vehicle.wheels]
     centers = np.stack([place + turn.apply(at) for place, turn, at in wheels], 1)
     return centers, [turn for _, turn, _ in wheels]

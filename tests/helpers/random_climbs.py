@@ -5,7 +5,7 @@ ground has lanes of different friction across the obstacle.
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -13,7 +13,7 @@ import numpy as np
 
 import slipfree as sf
 from helpers.random_dynamics import VEHICLES as DRIVEN
-from helpers.random_dynamics import Ending, ledger
+from helpers.random_dynamics import ending as ending_of
 from slipfree.core.trajectory import joined
 from slipfree.models.samples import ObstacleEnding, obstacle_ending
 from slipfree.terrain.solids import Profile, kerb, placed, ramp, stairs, step
@@ -146,16 +146,11 @@ def over_obstacle(case: Climb, motion: sf.Trajectory) -> ObstacleEnding:
     return found
 
 
-def ending(case: Climb) -> Ending:
-    """Return how a climb ends: as by `obstacle_ending`, at another limit, or by an error."""
-    try:
-        motion = run(case)
-    except sf.SolverError as error:
-        return Ending("failure", str(error), ledger(error.trajectory, TOLERANCE))
-    except sf.SlipfreeError as error:
-        return Ending("refused", str(error))
+def told(case: Climb, motion: sf.Trajectory) -> tuple[str, str]:
+    """Return kind and words of an ending: as by `obstacle_ending`, or at another limit."""
     found = over_obstacle(case, motion)
-    kind = str(found.name)
-    if motion.stop is not None and kind == "unfinished":
-        kind = motion.outcome.name.lower()
-    return Ending(kind, found.words, ledger(motion, TOLERANCE))
+    is_limit = motion.stop is not None and found.name == "unfinished"
+    return motion.outcome.name.lower() if is_limit else str(found.name), found.words
+
+
+ending = partial(ending_of, run=run, told=told, tolerance=TOLERANCE)  # of a climb

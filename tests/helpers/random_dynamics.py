@@ -202,17 +202,27 @@ class Ending(NamedTuple):
     ledger: float = 0.0
 
 
-def ending(case: Case, run: Callable[[Any], sf.Trajectory] = run) -> Ending:
+def told(_: Any, motion: sf.Trajectory) -> tuple[str, str]:
+    """Return kind and words of the end of a motion."""
+    if motion.stop is None:
+        return "complete", ""
+    return motion.outcome.name.lower(), f"{motion.stop.name}: {motion.stop.words}"
+
+
+def ending(
+    case: Any,
+    run: Callable[[Any], sf.Trajectory] = run,
+    told: Callable[[Any, sf.Trajectory], tuple[str, str]] = told,
+    tolerance: float = TOLERANCE,
+) -> Ending:
     """Return how the run of a case ends."""
     try:
         motion = run(case)
     except sf.SolverError as error:
-        return Ending("failure", str(error), ledger(error.trajectory))
+        return Ending("failure", str(error), ledger(error.trajectory, tolerance))
     except sf.SlipfreeError as error:
         return Ending("refused", str(error))
-    kind = "complete" if motion.stop is None else motion.outcome.name.lower()
-    words = "" if motion.stop is None else f"{motion.stop.name}: {motion.stop.words}"
-    return Ending(kind, words, ledger(motion))
+    return Ending(*told(case, motion), ledger(motion, tolerance))
 
 
 def ledger(motion: sf.Trajectory, tolerance: float = TOLERANCE) -> float:

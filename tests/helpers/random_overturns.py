@@ -1,14 +1,16 @@
 """Random hang-ups and roll-overs of vehicles whose bodies bear load, by index."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import slipfree as sf
-from helpers.random_dynamics import TOLERANCE, Case, Ending, Ground, drawn_ground
+from helpers.random_dynamics import TOLERANCE, Case, Ground, drawn_ground
 from helpers.random_dynamics import ending as ending_of
+from helpers.random_dynamics import told as told_of
 from slipfree.vehicle.shapes import Box
 
 SHAPES = {  # edges and centre of the platforms; their lower faces are lowered
@@ -124,21 +126,16 @@ def run(case: Overturn, tolerance: float = TOLERANCE) -> sf.Trajectory:
     return sf.simulate(model, start, inputs, case.t, options=sf.SolverOptions(tolerance))
 
 
-def ending(case: Overturn) -> Ending:
-    """Return how the run of a case ends, or on which side the vehicle then is."""
-    motions = list[sf.Trajectory]()
-
-    def kept(case: Overturn) -> sf.Trajectory:
-        motions.append(run(case))
-        return motions[0]
-
-    found = ending_of(case, kept)
-    if found.kind != "complete":
-        return found
-    (motion,) = motions
+def told(case: Overturn, motion: sf.Trajectory) -> tuple[str, str]:
+    """Return kind and words of an ending, or on which side the vehicle is after its whole run."""
+    if motion.stop is not None:
+        return told_of(case, motion)
     if not all(np.isfinite(motion[name]).all() for name in FINITE):
-        return found._replace(kind="not finite")
+        return "not finite", ""
     up = 1 - 2 * (motion["attitude_x"][-1] ** 2 + motion["attitude_y"][-1] ** 2)
     is_loaded = motion["body_load"][-1] > LOADED * case.vehicle.weight
     side = "upright" if up > UPRIGHT else "on its roof" if up < -UPRIGHT else "on its side"
-    return found._replace(kind=f"{side}{', body on the ground' if is_loaded else ''}")
+    return f"{side}{', body on the ground' if is_loaded else ''}", ""
+
+
+ending = partial(ending_of, run=run, told=told)  # of an overturn

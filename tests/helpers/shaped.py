@@ -8,6 +8,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
+from helpers.vehicles import part_frames
 from slipfree import Bicubic, Grid, ModelError, direct_kinematics, settle
 from slipfree.catalog import rocky7, skid_steer, three_wheeler
 from slipfree.vehicle.shapes import Ball, Box, Hull
@@ -58,20 +59,6 @@ def shape_distance(shape, points):
     return outside + np.minimum(beyond.max(axis=-1), 0)
 
 
-def part_frames(vehicle, run):
-    """Origins and axes of the parts with shapes, by elementary geometry."""
-    euler = Rotation.from_euler("ZYX", [run[name][0] for name in ("heading", "roll", "pitch")])
-    frames = {"platform": (np.array([run[axis][0] for axis in "xyz"]), euler.as_matrix())}
-    for joint in vehicle.joints:
-        assert joint.axis in ("x", "z")
-        sign = -1 if joint.value.startswith("-") else 1
-        angle = sign * run[joint.value.lstrip("-")][0]
-        origin, axes = frames[joint.parent]
-        turned = Rotation.from_euler(joint.axis, angle).as_matrix()
-        frames[joint.name] = origin + axes @ joint.at, axes @ turned
-    return frames
-
-
 def brute_clearance(vehicle, run, heights):
     """Least distance of dense samples of the ground from the shapes, improved by Nelder and Mead.
 
@@ -79,7 +66,7 @@ def brute_clearance(vehicle, run, heights):
     """
     frames, least = part_frames(vehicle, run), np.inf
     for name, shape in vehicle.shapes:
-        origin, axes = frames[name]
+        origin, axes = frames[name][0][0], frames[name][1][0].as_matrix()
         middle = origin + axes @ np.mean(
             getattr(shape, "points", [getattr(shape, "at", 0)]), axis=0
         )

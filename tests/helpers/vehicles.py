@@ -2,8 +2,29 @@
 
 from dataclasses import replace
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
 from slipfree.vehicle.sections import Sphere, Torus
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle, Wheel
+
+
+def part_frames(vehicle, run, origin=(0.0, 0.0, 0.0)):
+    """Return origins (n, 3) and rotations of all parts by name, by elementary geometry.
+
+    ``run`` has the samples of the pose and of all coordinates; origins count from ``origin``.
+    """
+    angles = np.stack([run[name] for name in ("heading", "roll", "pitch")], -1)
+    place = np.stack([run[name] for name in "xyz"], -1) - origin
+    parts = {"platform": (place, Rotation.from_euler("ZYX", angles))}
+    for joint in vehicle.joints:
+        place, turn = parts[joint.parent]
+        sign = -1 if joint.value.startswith("-") else 1
+        value = sign * run[joint.value.lstrip("-")][:, None] * np.eye(3)["xyz".index(joint.axis)]
+        slides = joint.motion == "slide"
+        place = place + turn.apply(joint.at + value * slides)
+        parts[joint.name] = place, turn * Rotation.from_rotvec(value * (not slides))
+    return parts
 
 
 def skid_steered():

@@ -83,7 +83,7 @@ def test_a_wheel_rolls_down_with_the_acceleration_of_the_closed_form(section, in
     expected = EARTH_GRAVITY * np.sin(angle) / (1 + axial / (2 * radius**2))
     errors = []
     for creep in (1e-2, 1e-3):
-        model = sf.dynamics(vehicle, slope(15), law=sf.Compliant(creep=creep))
+        model = sf.dynamics(vehicle, slope(15, 0.8), law=sf.Compliant(creep=creep))
         depth = radius / 50 * np.cos(angle)  # one wheel: no exact closure
         start = states(model, z=(radius - depth) / np.cos(angle))
         run = moved(model, start, np.linspace(0, 2, 3))

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import slipfree as sf
 from helpers.cases import hills
 from helpers.commands import refuses
-from helpers.dynamics import FLAT, energy_error, moved, states
+from helpers.dynamics import FLAT, energy_error, moved, slope, states
 from helpers.rounding import root
 from slipfree.contact.closure import ContactFrame, without_rolling
 from slipfree.laws.soil import SOILS, known_soil
@@ -256,12 +256,6 @@ def test_a_path_is_followed(angle):
 # Friction
 
 
-def slope(degrees, across, mu=0.6):
-    """A plane that rises to the right or forward."""
-    rise = tan(radians(degrees))
-    return sf.Analytic(lambda x, y: rise * (x if across else y) + 0 * (x + y), mu=mu)
-
-
 def roller_axles(angle):
     """Directions of the axles of the rollers on the ground, one row each."""
     angles = angle * SIGNS
@@ -306,7 +300,7 @@ def test_creep_on_a_slope_against_an_own_balance(across, angle):
     eps, mu, degrees = 1e-3, 0.6, 10
     rates = {"front_right_rate": 1e-3, "rear_left_rate": -2e-3, "front_left_rate": 0.0}
     rates["rear_right_rate"] = 3e-3
-    dae = sf.quasi_statics(platform(angle), slope(degrees, across, mu), law=sf.Coulomb(eps))
+    dae = sf.quasi_statics(platform(angle), slope(degrees, mu, across), law=sf.Coulomb(eps))
     for given in (dict.fromkeys(rates, 0.0), rates):
         found = rates_at(dae, given)
         values = [given[f"{name}_rate"] for name in NAMES]
@@ -332,7 +326,7 @@ def test_creep_on_a_slope_against_an_own_balance(across, angle):
 @pytest.mark.parametrize("heading", [0.0, 0.5, pi / 2])
 def test_the_least_utilisation_against_a_linear_programme(heading):
     """Friction only along the rollers' axles; the least utilisation by bisection of programmes."""
-    ground, mu = slope(12, across=False, mu=0.5), 0.5
+    ground, mu = slope(12, mu=0.5), 0.5
     dae = sf.direct_kinematics(VEHICLE, ground)
     found = best_utilisation(VEHICLE, ground, sf.settle(dae, heading=heading))
     axles, up = roller_axles(pi / 4), np.array([0.0, 0.0, 1.0])

@@ -14,7 +14,7 @@ from scipy.integrate import cumulative_simpson
 from scipy.spatial.transform import Rotation
 
 import slipfree as sf
-from helpers.cases import PAPER_RATES, closure_model, drive, hills
+from helpers.cases import PAPER_RATES, closure_model, drive, hills, rough_hills
 from helpers.commands import refuses
 from helpers.vehicles import four_wheels
 from slipfree.catalog import three_wheeler
@@ -29,15 +29,7 @@ START = {"heading": 0.3, "tilt_right": 0.1, "tilt_left": -0.05, "steer": 0.2}
 montana_model = lru_cache(maxsize=8)(montana_kinematics)
 
 
-def rough():
-    """Seeded bicubic ground: hills with 3 mm of noise on nodes 0.25 m apart."""
-    axis = np.linspace(-4, 4, 33)
-    x, y = np.meshgrid(axis, axis, indexing="ij")
-    noise = 0.003 * np.random.default_rng(11).normal(size=x.shape)
-    return sf.Bicubic(sf.Grid(axis, axis, np.array(ca.DM(hills(ca.DM(x), ca.DM(y)))) + noise))
-
-
-GROUNDS = {"hills": sf.Analytic(hills), "rough": rough()}
+GROUNDS = {"hills": sf.Analytic(hills), "rough": rough_hills(4, 33, 0.003, seed=11)}
 
 
 def both(ground, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):

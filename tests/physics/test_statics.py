@@ -5,7 +5,7 @@ parts are computed again, every part is cut free, and its forces and moments are
 """
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from itertools import permutations
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -21,7 +21,8 @@ from scipy.spatial.transform import Rotation
 import slipfree as sf
 from helpers.cases import LIGHT, PAPER_RATES, closure_model, drive, hills
 from helpers.commands import refuses
-from helpers.vehicles import four_wheels
+from helpers.dynamics import slope
+from helpers.vehicles import four_wheels, part_frames
 from slipfree.catalog import three_wheeler
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import leaves
@@ -61,13 +62,6 @@ MASS = {"mass": 20.0, "center_of_mass": (0.1, -0.05, 0.2), "wheel_mass": 3.0}
 SLID = [{"x": 0.4, "heading": 0.7, "slide_right": 0.1, "steer": -0.3}]
 
 
-@cache
-def slope(degrees):
-    """Return a plane that climbs to the north."""
-    rise = np.tan(np.radians(degrees))
-    return sf.Analytic(lambda _, y: rise * y)
-
-
 def terrace(drop):
     """Return ground that is level at either axle, higher by ``drop`` at the rear one."""
     return sf.Analytic(lambda _, y: drop / 2 * (1 - ca.tanh(40 * (y - LS / 6))))
@@ -80,10 +74,6 @@ def stand(vehicle, ground, *, slip=sf.LeastSlip(), **start):  # noqa: B008
 def forces(run, k=0):
     """Return along, across, normal of every wheel, one after the other."""
     return np.column_stack([run[name][k] for name in FORCES]).ravel()
-
-
-def turned(axis, angle):
-    return Rotation.from_euler(axis, angle).as_matrix()
 
 
 def normal(ground, x, y, step=5e-3):
@@ -118,20 +108,13 @@ class Balance(NamedTuple):
 
 def balance(vehicle, ground, run, k=0):
     """Cut the parts of a vehicle free at a sample."""
-    value = {c.name: run[c.name][k] for c in vehicle.coordinates}
-    rotation = turned("ZYX", [run[name][k] for name in ("heading", "roll", "pitch")])
-    center = np.array([run[name][k] for name in "xyz"])
-    parts, chain, joints = {"platform": (rotation, center)}, {"platform": ()}, {}
+    found = part_frames(vehicle, run).items()
+    parts = {name: (turn[k].as_matrix(), place[k]) for name, (place, turn) in found}
+    chain, joints = {"platform": ()}, {}
     for joint in vehicle.joints:
-        base, origin = parts[joint.parent]
-        pivot, axis = origin + base @ joint.at, base[:, "xyz".index(joint.axis)]
-        at = value[joint.value]
-        turns = joint.motion == "turn"
-        parts[joint.name] = (
-            (base @ turned(joint.axis, at), pivot) if turns else (base, pivot + at * axis)
-        )
+        axis = parts[joint.parent][0][:, "xyz".index(joint.axis)]
         chain[joint.name] = (*chain[joint.parent], joint.name)
-        joints[joint.name] = axis, pivot, turns
+        joints[joint.name] = axis, parts[joint.name][1], joint.motion == "turn"
     bodies = [("platform", vehicle.body), *((j.name, j.body) for j in vehicle.joints)]
     bodies += [(wheel.parent, sf.Body(wheel.mass, wheel.at)) for wheel in vehicle.wheels]
     frames, points, hubs = [], [], []
@@ -173,7 +156,9 @@ def balance(vehicle, ground, run, k=0):
     for i, (axle, hub) in enumerate(hubs):
         axles[i, 3 * i : 3 * i + 3] = np.cross(axle, points[i] - hub) @ frames[i]
     acts = [
-        act(axis, center, turns, lambda _: True) for turns in (False, True) for axis in np.eye(3)
+        act(axis, parts["platform"][1], turns, lambda _: True)
+        for turns in (False, True)
+        for axis in np.eye(3)
     ]
     held = {}
     for c in vehicle.coordinates:
@@ -181,7 +166,7 @@ def balance(vehicle, ground, run, k=0):
         if c.kind == "commanded":
             held[c.name] = row, weight
             continue
-        spring = c.stiffness * (value[c.name] - c.rest) + c.damping * run[f"{c.name}_rate"][k]
+        spring = c.stiffness * (run[c.name][k] - c.rest) + c.damping * run[f"{c.name}_rate"][k]
         acts.append((row, weight - spring))
     acts += [(axles[i], 0.0) for i, wheel in enumerate(vehicle.wheels) if not wheel.driven]
     rows, load = zip(*acts, strict=True)
@@ -322,7 +307,7 @@ def margin_of_all_pairs(points, center):
     [
         *(np.random.default_rng(count).standard_normal((2, count)) for count in (3, 12)),
         ROWS,
-        turned("z", 0.3)[:2, :2] @ ROWS,
+        Rotation.from_euler("z", 0.3).as_matrix()[:2, :2] @ ROWS,
         ROWS[:, ::2],  # all on one line
     ],
 )

@@ -6,8 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from helpers.cases import function_of, hills
-from slipfree import Analytic, Bicubic, Grid
+from helpers.cases import function_of, hills, rough_hills
+from slipfree import Analytic
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.models.montana import ContactCoordinates, Forms, contact_rates, pair, patch
 from slipfree.vehicle.sections import Sphere, Torus
@@ -22,19 +22,11 @@ H = 2e-4  # step of the differences, in seconds: rounding and truncation are bot
 STATES = 125  # for each of 8 pairs of surfaces: 1000
 
 
-def rough():
-    """A seeded bicubic ground, nodes 0.2 m apart."""
-    axis = np.linspace(-2, 2, 21)
-    x, y = np.meshgrid(axis, axis, indexing="ij")
-    noise = 0.005 * np.random.default_rng(7).normal(size=x.shape)
-    return Bicubic(Grid(axis, axis, 0.1 * np.sin(x + 0.3) * np.cos(y) + noise))
-
-
 GROUNDS = {
     "plane": Analytic(lambda x, y: 0.3 * x - 0.2 * y),
     "hill": Analytic(hills),
     "saddle": Analytic(lambda x, y: 0.2 * x * x - 0.3 * y * y + 0.1 * x * y),
-    "bicubic": rough(),
+    "bicubic": rough_hills(2, 21, 0.005, seed=7),
 }
 
 

@@ -14,6 +14,7 @@ from scipy.optimize import linprog
 import slipfree as sf
 from helpers.cases import hills
 from helpers.commands import error_of, refuses
+from helpers.dynamics import slope
 from helpers.friction_cases import (
     FIXED,
     UNEQUAL,
@@ -25,7 +26,6 @@ from helpers.friction_cases import (
     moved,
     order,
     random_starts,
-    slope,
 )
 from helpers.vehicles import four_wheels
 from slipfree.catalog import rigid_skid_steer, three_wheeler
@@ -50,7 +50,7 @@ def creeps(run):
 def test_a_rigid_axle_creeps_straight_down_across_a_slope(degrees, eps):
     """``eps tan s / sqrt(mu^2 - tan^2 s)``: every wheel uses the same part of its friction."""
     s = np.radians(degrees)
-    run = standing(FIXED, slope(s, 0.6, across=True), sf.Coulomb(eps))
+    run = standing(FIXED, slope(degrees, 0.6, across=True), sf.Coulomb(eps))
     expected = eps * np.tan(s) / np.sqrt(0.6**2 - np.tan(s) ** 2)
     assert_allclose(creeps(run), expected, rtol=1e-6)
     assert run["velocity_x"][0] < 0  # downhill
@@ -60,7 +60,7 @@ def test_a_rigid_axle_creeps_straight_down_across_a_slope(degrees, eps):
 def test_a_driven_wheel_creeps_by_what_it_uses():
     """Uphill on free tilts: ``eps U / sqrt(1 - U^2)`` at the rear wheels, none at the front."""
     s = np.radians(20)
-    run = standing(three_wheeler(), slope(s, 0.6))
+    run = standing(three_wheeler(), slope(20, 0.6))
     used = np.tan(s) / (2 / 3 + 0.3 / 1.5 * np.tan(s)) / 0.6
     expected = 1e-4 * used / np.sqrt(1 - used**2)
     assert_allclose(creeps(run), [expected, expected, 0], rtol=1e-6, atol=1e-15)
@@ -70,7 +70,7 @@ def test_a_driven_wheel_creeps_by_what_it_uses():
 def test_the_reserve_holds_beyond_friction(reserve):
     """A block on a slope of 35 degrees: ``mu p + c s = tan s``, about ``(tan s - mu) / c``."""
     s, mu, eps = np.radians(35), 0.6, 1e-3
-    run = standing(FIXED, slope(s, mu, across=True), sf.Coulomb(eps, reserve))
+    run = standing(FIXED, slope(35, mu, across=True), sf.Coulomb(eps, reserve))
     slip = creeps(run)
     assert_allclose(slip, slip[0], rtol=1e-9)
     assert_allclose(mu * slip / np.hypot(slip, eps) + reserve * slip, np.tan(s), rtol=1e-9)
@@ -78,7 +78,7 @@ def test_the_reserve_holds_beyond_friction(reserve):
 
 
 def test_beyond_friction_a_start_is_refused_with_what_it_needs():
-    error = error_of(sf.ModelError, standing, three_wheeler(), slope(np.radians(25), 0.6))
+    error = error_of(sf.ModelError, standing, three_wheeler(), slope(25, 0.6))
     s = np.tan(np.radians(25))
     assert str(error) == (
         "the vehicle cannot stand at the start: headed 0 degrees from uphill on a slope of 25.0 "
@@ -203,7 +203,7 @@ def test_a_vehicle_that_would_roll_away_is_not_said_to_tip_over():
     vehicle = replace(four_wheels(rock=True), body=sf.Body(30.0, (0.0, 0.5, 0.0)))
     free = tuple(replace(wheel, driven=False) for wheel in vehicle.wheels)
     words = "no contact forces balance the vehicle: a wheel without"
-    refuses(sf.ModelError, words, standing, replace(vehicle, wheels=free), slope(0.1, 0.6))
+    refuses(sf.ModelError, words, standing, replace(vehicle, wheels=free), slope(5, 0.6))
 
 
 def test_ice_is_a_stop_by_name_even_where_friction_jumps():

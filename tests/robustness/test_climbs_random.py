@@ -8,7 +8,8 @@ tolerance of 1e-6. The test repeats one over every kind of obstacle.
 
 import pytest
 
-from helpers.random_climbs import GROUP, OBSTACLES, draw, ending, ledger, run, world
+from helpers.random_climbs import GROUP, OBSTACLES, draw, ending, run, world
+from helpers.random_dynamics import ledger
 
 pytestmark = pytest.mark.slow
 

@@ -21,7 +21,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from helpers import sweep_cases
-from helpers.commands import invoke, refuses
+from helpers.commands import invoke, refuses, sets
 from helpers.fuzz_files import bases, document, results
 from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.trajectory import Outcome, Trajectory
@@ -260,11 +260,8 @@ def test_memory_that_runs_out_is_told(folder: Path, monkeypatch: Any) -> None:
 
 # Sweeps, processes and clusters that are killed
 
-SLOW = [
-    *sweep_cases.GRID,
-    "--set",
-    "time.step=0.003",
-]  # so long that many are left when it is killed
+# so long that many are left when it is killed
+SLOW = [*sweep_cases.GRID, *sets("time.step=0.003")]
 
 
 @pytest.fixture
