@@ -543,10 +543,12 @@ def test_a_curve_with_its_spread():
 def test_a_heat_map():
     ax = Figure().subplots()
     values = [[[1.0, 3.0], [5.0, 5.0]], [[0.0, 0.0], [np.nan, 1.0]], [[7.0, 7.0], [np.nan] * 2]]
-    show.heat_map(_swept([SPEEDS._replace(values=("2", "0.33333", "1")), AXLES], values), ax)
+    numbers = SPEEDS._replace(values=("2000000.5", "0.333333333333", "2000000"))
+    show.heat_map(_swept([numbers, AXLES], values), ax)
     shown = ax.images[0].get_array().filled(np.nan)
     np.testing.assert_array_equal(shown, [[0.0, 7.0, 2.0], [1.0, np.nan, 5.0]])
-    assert [label.get_text() for label in ax.get_xticklabels()] == ["0.3333", "1", "2"]
+    labels = [label.get_text() for label in ax.get_xticklabels()]
+    assert labels == ["0.33333333", "2000000", "2000000.5"]
     assert sorted(words.get_text() for words in ax.texts) == ["0", "1", "2", "5", "7"]
     assert ax.figure.axes[1].get_ylabel() == "slip_rms, mean [m/s]"
     assert ax.images[0].get_cmap().name == "risk"

@@ -107,13 +107,15 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
     more = ", mean" if swept.values.shape[-1] > 1 else ""
     bar.set_label(_labelled(f"{swept.name}{more}", swept.unit))
     for axis, varied, order in zip((ax.xaxis, ax.yaxis), (across, up), orders, strict=True):
-        names = [f"{each:.4g}" for each in varied.numbers or ()] or varied.values
+        numbers = varied.numbers or ()
+        # as many digits as tell the numbers apart, such as northings with seven before the point
+        n = next(n for n in range(4, 18) if len({f"{x:.{n}g}" for x in numbers}) == len({*numbers}))
+        names = [f"{x:.{n}g}" for x in numbers] or varied.values
         _ticks(axis, [names[k] for k in order])
         axis.set_label_text(_labelled(varied.name, varied.unit))
-    look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6}
     is_small = max(mean.shape) <= MOST_WORDS
     for i, j in np.argwhere(np.isfinite(mean)).tolist() if is_small else ():
-        ax.text(i, j, f"{mean[i, j]:.3g}", **look)
+        ax.text(i, j, f"{mean[i, j]:.3g}", ha="center", va="center", fontsize=6)
     return ax
 
 
