@@ -1,6 +1,7 @@
 """Tests of several starts of a plan: guesses, local optima, best verified plan, processes."""
 
 import re
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -13,9 +14,11 @@ from helpers.commands import invoke, printed, refuses, sets
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
+from slipfree.core.trajectory import Stop
 from slipfree.files import netcdf
 from slipfree.files.toml import ProblemError
 from slipfree.plan import plan as planning
+from slipfree.plan import verification
 from slipfree.plan.search import count_distinct, distances, further_guesses
 from slipfree.plan.verification import verify_plan
 
@@ -89,6 +92,20 @@ def test_the_best_verified_plan_counts(model, monkeypatch):
     assert [each.outcome for each in both.optima] == ["verified", "inaccurate"]
     assert both.optima[0].cost > both.optima[1].cost
     assert both.solution.cost == both.optima[0].cost
+
+
+def test_a_plan_is_verified_at_its_tolerance_where_a_tighter_one_fails(model, monkeypatch):
+    def simulated(*args, options, **more):
+        run = sf.simulate(*args, options=options, **more)
+        if options.tolerance == 1e-8:
+            return run
+        stop = Stop("solver", run.t[1], "IDA_CONV_FAIL", sf.Outcome.SOLVER_FAILURE)
+        raise sf.SolverError(stop.words, replace(run.part(slice(2)), stop=stop))
+
+    monkeypatch.setattr(verification, "simulate", simulated)
+    found = planned(model, [led(model, 1)])
+    assert found.accurate
+    assert found.replay.statistics["tolerance"] == 1e-8
 
 
 def test_further_guesses_depend_on_the_seed_alone_and_keep_to_bounds(model):

@@ -81,13 +81,8 @@ from slipfree.laws.protocols import (
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle, Wheel
 
-OF_THE_LAW = (
-    "grouser_height",
-    "damping_ratio",
-    "creep",
-    "coupled_shear",
-    "regions",
-)  # not constants of the ground
+# not constants of the ground
+OF_THE_LAW = "grouser_height", "damping_ratio", "creep", "coupled_shear", "regions"
 
 
 class RegionalSoil(Protocol):
