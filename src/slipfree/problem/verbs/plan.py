@@ -239,7 +239,10 @@ def _simulated_words(facts: Facts, *, is_solved: bool) -> str:
     def read(fact: Fact) -> str:
         return format(fact, {"m": ".2g>mm", "rad": ".2g>deg"}.get(fact.unit, ".2g"))
 
-    listed = ", ".join(f"{name} {read(gap)}" for name, gap in gaps.items())
+    ascending = sorted(gaps.items(), key=lambda each: each[1].value)
+    largest = dict.fromkeys((gap.unit for gap in gaps.values()), "")  # in the order of the states
+    largest |= {gap.unit: f"{name} {read(gap)}" for name, gap in ascending}
+    listed = ", ".join(largest.values())
     words = f"differs from the {'plan' if is_solved else 'iterate'} by at most {listed}"
     if not is_solved:  # the outcome names the violations
         return words
