@@ -13,11 +13,14 @@ from collections.abc import Callable, Iterator
 from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock, patch
 
 import distributed
 import numpy as np
 import psutil
 import pytest
+from matplotlib.animation import FFMpegWriter
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from helpers import sweep_cases
@@ -27,7 +30,7 @@ from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.trajectory import Outcome, Trajectory
 from slipfree.core.version import __version__
 from slipfree.files import netcdf
-from slipfree.show.film import film_writer, write_film
+from slipfree.show import film
 from slipfree.show.plots import Plot
 from slipfree.show.plots import save as save_figures
 from slipfree.sweep import WORDS, Done, Rows, RunRow, sweep_facts, sweep_of, without_motion, work
@@ -57,7 +60,8 @@ def _figure() -> Figure:
 
 
 def _film(file: Path) -> None:
-    write_film(film_writer(file, 5), _figure(), file, str, range(3))
+    with patch.object(film, "Film", lambda *of: Mock(of=FigureCanvasAgg(of[0]).get_renderer())):
+        film.animate(Mock(span=(0.0, 0.2)), file)
 
 
 WRITERS: dict[str, Callable[[Trajectory, Path], Any]] = {
@@ -79,7 +83,7 @@ WRITERS: dict[str, Callable[[Trajectory, Path], Any]] = {
 def test_what_fails_at_its_end_leaves_the_old_file(
     motion: Trajectory, name: str, error: BaseException, tmp_path: Path, monkeypatch: Any
 ) -> None:
-    if name.endswith(".mp4") and not _has_ffmpeg():
+    if name.endswith(".mp4") and not FFMpegWriter.isAvailable():
         pytest.skip("ffmpeg is not installed")
     (tmp_path / name).write_bytes(OLD)
 
@@ -95,12 +99,6 @@ def test_what_fails_at_its_end_leaves_the_old_file(
     WRITERS[name](motion, tmp_path / name)
     assert [each.name for each in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_bytes() != OLD
-
-
-def _has_ffmpeg() -> bool:
-    from matplotlib.animation import FFMpegWriter
-
-    return FFMpegWriter.isAvailable()
 
 
 @pytest.mark.parametrize("name", [name for name in WRITERS if name[0] != "f"])
@@ -122,7 +120,7 @@ def test_a_place_that_cannot_be_renamed_in(
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_place_below_a_file_is_none(motion: Trajectory, name: str, tmp_path: Path) -> None:
-    if name.endswith(".mp4") and not _has_ffmpeg():
+    if name.endswith(".mp4") and not FFMpegWriter.isAvailable():
         pytest.skip("ffmpeg is not installed")
     (tmp_path / "file").write_bytes(OLD)
     with pytest.raises(DataError, match=r"cannot be written|one that cannot be created"):

@@ -80,7 +80,7 @@ def with_clearance(limit: Limit) -> Limit:
 
 
 def with_joint_stops(task: PlanTask) -> PlanTask:
-    """Return a task with the model's limits of single states: the stops of steered joints.
+    """Return a task with the model's limits of single states: the stops of joints.
 
     As bounds of unknowns they add no rows. Without them, joints fold at cusps of a guess, and later
     searches find no way back.
