@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args, get_origin
 from slipfree.core.quantities import QUANTITIES
 from slipfree.files.toml import Record
 from slipfree.models.given_rates import LEAST_MARGIN
+from slipfree.models.limits import MIN_INCLINATION_COSINE
 from slipfree.models.single_wheel import SLIP_LIMIT
 from slipfree.problem import schema
 from slipfree.problem.load import VERBS
@@ -241,6 +242,7 @@ def _default(field: Any) -> str:
 def _quantities(_: str) -> str:
     """Return the table of quantities of motions."""
     known = {"wheel": "the wheel", "stride": STRIDE, "slip": SLIP_LIMIT, "least": LEAST_MARGIN}
+    known["degrees"] = math.degrees(math.acos(MIN_INCLINATION_COSINE))
     values = defaultdict(lambda: "...", known)
     rows = (
         f"| `{each.name}` | {each.unit} | {each.words.format_map(values)} | {each.shape} | "
