@@ -104,8 +104,7 @@ def test_a_plan_is_verified_at_its_tolerance_where_a_tighter_one_fails(model, mo
 
     monkeypatch.setattr(verification, "simulate", simulated)
     found = planned(model, [led(model, 1)])
-    assert found.accurate
-    assert found.replay.statistics["tolerance"] == 1e-8
+    assert (found.accurate, found.replay.statistics["tolerance"]) == (True, 1e-8)
 
 
 def test_further_guesses_depend_on_the_seed_alone_and_keep_to_bounds(model):
