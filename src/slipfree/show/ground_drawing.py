@@ -278,16 +278,16 @@ def side_plot(drive: PlottedDrive) -> Plot | None:
     return Plot("side", "Vehicle and solids from the side, at several times.", make)
 
 
-def side_view(run: Trajectory, section: Profile, ax: Axes) -> None:
-    """Draw solids, paths of the wheels, and a planar vehicle at `POSES` times."""
+def side_view(run: Trajectory, section: Profile, ax: Axes, count: int = POSES) -> None:
+    """Draw solids, paths of the wheels, and a planar vehicle at ``count`` times."""
     for solid in section.solids:
         ax.add_patch(Polygon(solid.points, fc="0.85", ec="0.85", lw=0.3, zorder=0))
     y, z = run["center_y"], run["center_z"]
     away = np.hypot(run["contact_y"] - y, run["contact_z"] - z)
     order = np.argsort(y[0])
     ax.plot(y, z, color="0.5", lw=0.6, zorder=2)
-    for number, k in enumerate(np.linspace(0, run.t.size - 1, POSES).astype(int)):
-        look: dict[str, Any] = {"color": colormaps["viridis"](LATEST * number / (POSES - 1))}
+    for number, k in enumerate(np.linspace(0, run.t.size - 1, count).astype(int)):
+        look: dict[str, Any] = {"color": colormaps["viridis"](LATEST * number / max(1, count - 1))}
         words = f"{run.t[k]:.3g} s"
         ax.plot(y[k, order], z[k, order], "o-", lw=1.3, ms=2.6, mfc="white", label=words, **look)
         for place in zip(y[k], z[k], np.nanmedian(away, axis=0), strict=True):
