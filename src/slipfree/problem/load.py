@@ -29,6 +29,7 @@ VERBS: tuple[Verb, ...] = (
     Verb(Fit, "fit"),
     Verb(AtlasKeys, "atlas", "check"),
 )
+REMOVED_VERBS = {"fit-over-map": "use 'fit', the map as [terrain], data.inputs = 'commands'"}
 
 
 def find_verb(name: object) -> Verb | None:
@@ -114,7 +115,7 @@ def load_again(
         found = find_verb(name)
         if found in able:
             return found.schema
-        hint = "correct the verb"
+        hint = REMOVED_VERBS.get(str(name), "correct the verb")
         if found:
             hint = f"use slipfree {found.commands[0]} {source.path}; others: slipfree examples"
         expected = f"{' or '.join(repr(verb.name) for verb in able)} for this command"
