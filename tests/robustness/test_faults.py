@@ -60,6 +60,7 @@ def _figure() -> Figure:
 
 
 def _film(file: Path) -> None:
+    # a canvas has pixels once its renderer exists
     with patch.object(film, "Film", lambda *of: Mock(of=FigureCanvasAgg(of[0]).get_renderer())):
         film.animate(Mock(span=(0.0, 0.2)), file)
 

@@ -319,7 +319,7 @@ def add_json_file(file: object) -> None:
     _current_output().content.setdefault("files", []).append(str(file))
 
 
-def wrote(file: object, more: str = "") -> None:
+def print_written(file: object, more: str = "") -> None:
     """Print the name of a written file with a text, and add it to the JSON object."""
     add_json_file(file)
     print_line(f"wrote {file}{more}")

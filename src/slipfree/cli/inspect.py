@@ -236,7 +236,7 @@ def export(
             console.refuse_result(file)
             files, command = export_code(file, code, trust or ())
             for each in files:
-                console.wrote(each)
+                console.print_written(each)
             console.add_json("test", lambda: command)
             console.print_line(f"to test: {command}")
             return
@@ -244,4 +244,4 @@ def export(
         for out, write in ((path, export_path), (rates, export_rates), (mcap, export_mcap)):
             if out is not None:
                 write(file, out)
-                console.wrote(out)
+                console.print_written(out)

@@ -107,7 +107,7 @@ def show(
 
         with console.counted("frames") as progress:
             speed = animate(scene, animation, title, progress)
-        console.wrote(animation, f", {speed}")
+        console.print_written(animation, f", {speed}")
     if has_page:
         from slipfree.show.viewer import page, serve
 
@@ -125,7 +125,7 @@ def show(
 def _write_page(file: Path, text: str, more: str = "") -> None:
     # file names in the text may have invalid characters
     replace_file(file, lambda part: part.write_text(text, "utf-8", "backslashreplace"))
-    console.wrote(file, more)
+    console.print_written(file, more)
 
 
 def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:

@@ -371,7 +371,7 @@ def sweep(
     names = choose_figures(plan, rows, figures or [])
     tables = grids(plan, rows, names)
     console.print_facts(sweep_facts(plan, rows, tables, names))
-    console.wrote(folder / TABLE)
+    console.print_written(folder / TABLE)
     # finished runs without a result file, such as those run without --keep
     moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST})) if keep else []
     if missing := [run for run in moved if not rows.file(run).exists()]:
