@@ -211,10 +211,10 @@ def test_between_the_samples_of_a_controller(monkeypatch):
         yield
         raise RuntimeError("CV_RHSFUNC_FAIL")
 
-    monkeypatch.setattr(simulate, "suppress_messages", swallowing)
+    monkeypatch.setattr(integrator, "suppress_messages", swallowing)
     dae = model(lambda _t, _x, u: u)
     with pytest.raises(KeyboardInterrupt):
-        simulate.simulate_sampled(dae, sf.settle(dae, x=1.0), dae.inputs(push=1.0), T)
+        sf.simulate(dae, sf.settle(dae, x=1.0), dae.inputs(push=1.0), T, sampled=True)
     assert len(calls) == 1
 
 
@@ -383,7 +383,7 @@ RUNS = {  # function, its call, words of the command, what is told, and the kept
     "kinematics": ((integrator._Relay, "eval_buffer", 5), GRIP, SO_FAR, "interrupted"),
     "kinematics, twice": ((integrator._Relay, "eval_buffer", 1, 2), GRIP[:1], "interrupted\n", OLD),
     "dynamics": ((integrator._Relay, "eval_buffer", 100), INERT, SO_FAR, "interrupted"),
-    "sampled": ((simulate, "run_buffered", 61), HELD, SO_FAR, "interrupted"),
+    "sampled": ((integrator, "run_buffered", 61), HELD, SO_FAR, "interrupted"),
     "plan that is compiled": ((search, "transcribe"), PLAN, "interrupted\n", OLD),
     "plan behind its first iteration": ((ipopt, "largest_violation", 2), PLAN, RESUME, "plan"),
 }

@@ -193,7 +193,7 @@ def controlled(model: Dae, controller: ControlLaw, *, sampled: bool = False) -> 
     """Return a model with a controller: states, inputs and outputs of the model, then its own.
 
     With ``sampled`` the inputs of the model remain inputs, which
-    `slipfree.solve.simulate.simulate_sampled` sets to the values of the laws. ModelError is
+    `slipfree.simulate` sets to the values of the laws if ``sampled``. ModelError is
     raised if the number of laws is not the number of inputs.
     """
     inputs, laws = [*leaves(model.u)], list(controller.laws)

@@ -208,6 +208,72 @@ def add_counts(counts: dict[str, float], more: dict[str, float]) -> dict[str, fl
     return {name: counts[name] + more[name] for name in counts}
 
 
+def integrate_held(
+    solver: MotionSolver,
+    observer: StepObserver,
+    first: Samples,
+    t: Array,
+    u: Array,
+    law: ca.Function,
+) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
+    """Integrate over intervals with the inputs of a law at their beginnings, as `integrate`.
+
+    ``u`` are the numeric inputs of the intervals. CVODES restarts at every sample.
+    """
+    system, n = solver.system, t.size
+    integrator = _period_integrator(system, float(t[-1] - t[0]) / (n - 1), solver.tolerance)
+    symbols = law.mx_in()
+    values = law(*symbols)
+    watched = system.watch(*symbols[:2], ca.MX(0, 1), values)
+    sample = ca.Function("sample", symbols, [values, watched[1]])  # inputs, distance to a limit
+    names = [integrator.index_in("x0"), integrator.index_in("p")]
+    results = [integrator.index_out("xf"), integrator.index_out("qf")]
+    x, q = np.zeros((n, first.x.size)), np.zeros((n, first.q.size))
+    x[0], q[0] = first.x[:, 0], first.q[:, 0]
+    held, margin, counts = np.zeros((n, len(u))), np.empty(1), dict.fromkeys(COUNTS, 0.0)
+    end: EarlyEnd | None = None
+    for last in range(n):
+        numbers = u[:, min(last, n - 2)]
+        sources = {0: t[last : last + 1], 1: x[last], 2: numbers}
+        run_buffered(sample, sources, {0: held[last], 1: margin})
+        if last == n - 1:
+            break
+        try:
+            observer.observe(float(t[last]), float(margin[0]), 0.0)
+            sources = dict(zip(names, (x[last], np.append(held[last], t[last])), strict=True))
+            targets = dict(zip(results, (x[last + 1], q[last + 1]), strict=True))
+            with suppress_messages():
+                buffer = run_buffered(integrator, sources, targets)
+        except (LimitError, ProgressError) as error:
+            end = error
+            break
+        except RuntimeError as error:
+            solver.guard.check()
+            end = SolverError(sundials_words(str(error)))
+            break
+        solver.guard.check()
+        q[last + 1] += q[last]
+        statistics = buffer.stats()
+        counts = {name: counts[name] + statistics[key] for name, key in COUNTS.items()}
+    samples = Samples(t, x.T, np.zeros((0, n)), q.T, held.T).at(slice(last + 1))
+    return samples, counts, end
+
+
+def _period_integrator(system: System, period: float, tolerance: float) -> ca.Function:
+    """Return the integrator over one period; parameters are inputs and start time."""
+    t, x = ca.MX.sym("t"), ca.MX.sym("x", system.dae.ode.numel())
+    p, none = ca.MX.sym("p", system.u.shape[0] + 1), ca.MX.sym("none", 0)
+    at, u, jacobian = (p[-1] + t, x, none), p[:-1], system.jacobian
+    ode, quad = system.core(*at, u)[0], system.watch(*at, u)[0]
+    names = jacobian.name_in(), jacobian.name_out()
+    slopes = ca.Function(
+        "jacF", [t, x, none, p, ca.MX.sym("u", 0)], list(jacobian(*at, none, u)), *names
+    )
+    equations: dict[str, Any] = {"t": t, "x": x, "p": p, "ode": ode, "quad": quad}
+    options = sundials_options(tolerance, slopes) | {"quad_err_con": True}
+    return ca.integrator("period", "cvodes", equations, 0.0, period, options)
+
+
 @contextmanager
 def _integrator(
     solver: MotionSolver, observer: StepObserver, t: Array, given: dict[str, Any], pace: float

@@ -20,8 +20,8 @@ from slipfree.batch.motion import ORDER, RELAXING_ORDER, integrate_lanes
 from slipfree.core.arguments import checked
 from slipfree.core.dae import LIMIT_ROUNDING, Dae, PiecewiseLinear, invalid_start
 from slipfree.core.errors import ModelError
-from slipfree.core.lookups import evaluate, run_buffered
-from slipfree.core.records import Array, Mask, Record, leaves, unpack, with_overview
+from slipfree.core.lookups import evaluate
+from slipfree.core.records import Array, Mask, Record, leaves, with_overview
 from slipfree.core.trajectory import (
     Column,
     Outcome,
@@ -29,7 +29,6 @@ from slipfree.core.trajectory import (
     Stop,
     Trajectory,
     joined,
-    sundials_words,
 )
 from slipfree.solve.integrator import (
     COUNTS,
@@ -41,8 +40,7 @@ from slipfree.solve.integrator import (
     StepObserver,
     add_counts,
     integrate,
-    sundials_options,
-    suppress_messages,
+    integrate_held,
 )
 from slipfree.solve.sampling import (
     UNSOLVED_RESIDUAL,
@@ -55,13 +53,13 @@ from slipfree.solve.system import (
     SolverOptions,
     System,
     UnsolvedError,
-    check_law,
     check_symbols,
     solve_initial_conditions,
+    with_held_inputs,
     with_inputs,
 )
 from slipfree.system.forks import computing
-from slipfree.system.interrupt import InterruptGuard, check_interrupt
+from slipfree.system.interrupt import InterruptGuard
 
 FIRST_STEP = 0.5  # length of the steps of the first try [size of the vehicle]
 SAFETY, MIN_RATIO = 0.8, 0.02  # of the step that an estimated error suggests; of two steps
@@ -388,6 +386,7 @@ def simulate(
     options: SolverOptions = SolverOptions(),
     events: Sequence[Event] = (),
     progress: Progress | None = None,
+    sampled: bool = False,
     sampled_work: bool = False,
     states_only: bool = False,
 ) -> Trajectory:
@@ -419,6 +418,11 @@ def simulate(
     progress : callable, optional
         Called with the time reached, in ascending order, about once per step. If it returns False,
         the motion ends with the stop ``"interrupted"``. Exceptions of the callable are raised.
+    sampled : bool
+        Whether inputs are constant between samples, as those of a sampled controller: expressions
+        of time, states and inputs that are numbers are evaluated at evenly spaced samples, where
+        CVODES restarts. For models without algebraic unknowns. With periods of 10 and 20 ms, the
+        motion of a dynamic model takes 3 to 40 times as long as with continuous inputs.
     sampled_work : bool
         Whether the work of drives whose forces follow from the motion is integrated from its power
         at the samples, by cubic polynomials. A motion with rigid wheels then takes half of the
@@ -461,7 +465,11 @@ def simulate(
     watched = watch_events(model, events)
     stops = tuple(each for each in watched if each.event.stop)
     with InterruptGuard() as guard:
-        system = with_inputs(model, inputs, t.size - 1, options)
+        law: ca.Function | None = None
+        if sampled:
+            system, law = with_held_inputs(model, inputs, t, options)
+        else:
+            system = with_inputs(model, inputs, t.size - 1, options)
         watch = system.make_watch(not sampled_work)
         method = options.method or ("idas" if system.motion_size else "cvodes")
         if method == "cvodes" and system.motion_size:
@@ -482,7 +490,8 @@ def simulate(
             # IDAS also integrates the interval of an explicit end, which it locates
             span = np.append(samples.t[-1], t[left])
             at, u = samples.at([-1]), system.u[:, 1 - span.size :]
-            rest, cost, end = integrate(solver, observer, at, span, u)
+            motion = solver, observer, at, span, u
+            rest, cost, end = integrate(*motion) if law is None else integrate_held(*motion, law)
             counts, samples = add_counts(counts, cost), join_samples([samples, rest])
             whole, samples, found = _check_samples(solver, samples, stops)
             if not (isinstance(end, LimitError) and found is None and observer.guarded):
@@ -654,129 +663,3 @@ def _locate(
         at = at._replace(u=samples.u[:, [k - 1]])
         tail = _check_samples(solver, at, (), limited=limited)[0]
     return replace(tail, stop=stop._replace(t=float(tail.t[0])))
-
-
-PERIOD_TOLERANCE = 1e-6  # largest relative difference between sampling periods that count as equal
-
-
-def simulate_sampled(
-    dae: Dae,
-    start: Trajectory,
-    inputs: Record,
-    t: Array,
-    *,
-    options: SolverOptions = SolverOptions(),
-    progress: Progress | None = None,
-) -> Trajectory:
-    """Return the motion under inputs that are constant between samples.
-
-    CVODES restarts at every sample. With periods of 10 and 20 ms, a simulation of a dynamic model
-    takes 3 to 40 times as long as with continuous inputs. The motion ends with the first sample
-    that violates a limit of the model.
-
-    The arguments are those of `simulate`, with evenly spaced times at which the controller samples;
-    expressions of time, states and those inputs that are numbers are evaluated there. ``progress``
-    is called with the time of every sample, and ends the motion if it returns False.
-
-    ModelError is raised if the model has algebraic unknowns, or times, inputs or method are
-    invalid; SolverError, with the motion up to the failure, if CVODES fails.
-    """
-    t = check_times(t)
-    period = float(t[1] - t[0])
-    if np.abs(np.diff(t) - period).max() > PERIOD_TOLERANCE * period:
-        raise ModelError(
-            "t: expected evenly spaced times for a sampled controller, found steps from "
-            f"{np.diff(t).min():.9g} to {np.diff(t).max():.9g} s; use a constant step"
-        )
-    if dae.guess.numel():
-        raise ModelError(
-            "dae: expected a model without algebraic unknowns for a sampled controller, found "
-            f"{dae.guess.numel()} of them; use simulate with one value of the inputs for each "
-            "interval"
-        )
-    if options.method in ("idas", "explicit"):
-        raise ModelError(
-            "method: expected 'cvodes' for a sampled controller, found "
-            f"{options.method!r}; omit the method"
-        )
-    given = list(leaves(inputs))
-    laws = [isinstance(value, ca.SX) for value in given]
-    constants = [0.0 if is_law else value for value, is_law in zip(given, laws, strict=True)]
-    system = with_inputs(dae, unpack(dae.u, constants), t.size - 1, options)
-    state, _, driven = dae.columns()
-    if system.u.shape[0] != driven.numel():
-        raise ModelError(
-            "inputs: expected constants or expressions for a sampled controller, found inputs that "
-            "are linear in time; give them as expressions of dae.t"
-        )
-    own = ca.vertsplit(driven)
-    numeric = ca.vertcat(ca.SX(0, 1), *(own[k] for k, is_law in enumerate(laws) if not is_law))
-    for label, value in zip(leaves(dae.labels.u), given, strict=True):
-        if isinstance(value, ca.SX):  # of time, states and numeric inputs
-            check_law(dae, label, ca.substitute(value, numeric, ca.SX.zeros(numeric.shape)))
-    column = ca.vertcat(*(given[k] if is_law else own[k] for k, is_law in enumerate(laws)))
-    law = dae.function("law", [dae.t, state, driven], [column])
-    clock = time.process_time()
-    n, integrator = t.size, _period_integrator(system, period, options.tolerance)
-    symbols = law.mx_in()
-    values = law(*symbols)
-    watched = system.watch(*symbols[:2], ca.MX(0, 1), values)
-    sample = ca.Function("sample", symbols, [values, watched[1]])  # inputs, distance to a limit
-    names = [integrator.index_in("x0"), integrator.index_in("p")]
-    results = [integrator.index_out("xf"), integrator.index_out("qf")]
-    x, q = np.zeros((n, dae.ode.numel())), np.zeros((n, dae.quad.numel()))
-    x[0], q[0] = dae.rows("x", start, -1), dae.rows("q", start, -1)
-    u, margin = np.zeros((n, system.u.shape[0])), np.empty(1)
-    cost, failure, last, is_ended = dict.fromkeys(COUNTS, 0.0), "", 0, False
-    with InterruptGuard() as guard:
-        for k in range(n):
-            numbers = system.u[:, min(k, n - 2)]
-            run_buffered(sample, {0: t[k : k + 1], 1: x[k], 2: numbers}, {0: u[k], 1: margin})
-            last = k
-            if k == n - 1 or margin[0] < 0:  # the samples end with the first beyond a limit
-                break
-            is_ended = progress is not None and progress(float(t[k])) is False
-            if is_ended:
-                break
-            check_interrupt()
-            sources = dict(zip(names, (x[k], np.append(u[k], t[k])), strict=True))
-            targets = dict(zip(results, (x[k + 1], q[k + 1]), strict=True))
-            try:
-                with suppress_messages():
-                    buffer = run_buffered(integrator, sources, targets)
-            except RuntimeError as error:
-                guard.check()
-                failure = sundials_words(str(error))
-                break
-            guard.check()
-            q[k + 1] += q[k]
-            statistics = buffer.stats()
-            cost = {name: cost[name] + statistics[key] for name, key in COUNTS.items()}
-    samples = Samples(t, x.T, np.zeros((0, n)), q.T, u.T).at(slice(last + 1))
-    run = to_trajectory(system, samples, {})
-    fault = first_violation(system, run, samples)
-    if fault is not None:
-        run = run.part(slice(fault[0] + 1), fault[1])
-    elif failure:
-        words = f"the integrator stopped at t = {run.t[-1]:.6g} s: {failure}"
-        run = replace(run, stop=Stop("solver", float(run.t[-1]), failure, Outcome.SOLVER_FAILURE))
-        raise SolverError(words, run)
-    elif is_ended:
-        run = replace(run, stop=interrupted_at(float(run.t[-1])))
-    cost |= {"tolerance": options.tolerance, "cpu_seconds": time.process_time() - clock}
-    return replace(run, statistics=cost)
-
-
-def _period_integrator(system: System, period: float, tolerance: float) -> ca.Function:
-    """Return the integrator over one period; parameters are inputs and start time."""
-    t, x = ca.MX.sym("t"), ca.MX.sym("x", system.dae.ode.numel())
-    p, none = ca.MX.sym("p", system.u.shape[0] + 1), ca.MX.sym("none", 0)
-    at, u, jacobian = (p[-1] + t, x, none), p[:-1], system.jacobian
-    ode, quad = system.core(*at, u)[0], system.watch(*at, u)[0]
-    names = jacobian.name_in(), jacobian.name_out()
-    slopes = ca.Function(
-        "jacF", [t, x, none, p, ca.MX.sym("u", 0)], list(jacobian(*at, none, u)), *names
-    )
-    equations: dict[str, Any] = {"t": t, "x": x, "p": p, "ode": ode, "quad": quad}
-    options = sundials_options(tolerance, slopes) | {"quad_err_con": True}
-    return ca.integrator("period", "cvodes", equations, 0.0, period, options)

@@ -32,10 +32,11 @@ from slipfree.core.lookups import (
     needed_lookups,
 )
 from slipfree.core.newton import ROUNDING, solve_equations, solve_linear
-from slipfree.core.records import Array, Label, Record, leaves, pack
+from slipfree.core.records import Array, Label, Record, leaves, pack, unpack
 from slipfree.system.codegen_cache import compiled_functions, load_or_compile, source
 
 MIN_TOLERANCE = 1e-14  # rounding dominates below it
+PERIOD_TOLERANCE = 1e-6  # largest relative difference between sampling periods that count as equal
 MAX_TOLERANCE = 1e-2  # errors do not grow with the tolerance beyond it: steps are uncontrolled
 Method = Literal["idas", "cvodes", "explicit"]
 
@@ -395,6 +396,48 @@ def with_inputs(
     else:
         system = _with_numbers(dae, linear=linear, compiled=options.compiled)
     return system._replace(u=numbers)
+
+
+def with_held_inputs(
+    dae: Dae, inputs: Record, t: Array, options: SolverOptions
+) -> tuple[System, ca.Function]:
+    """Return a DAE for inputs that are constant between evenly spaced samples, and their law.
+
+    The law is a function ``(t, x, u)`` of the inputs that are numbers, with the values of all
+    inputs; those given by expressions are zero in the system. ModelError is raised as by
+    `with_inputs`, and for algebraic unknowns and inputs that are linear in time.
+    """
+    steps, (state, _, driven) = np.diff(t), dae.columns()
+    if np.abs(steps - steps[0]).max() > PERIOD_TOLERANCE * steps[0]:
+        raise ModelError(
+            "t: expected evenly spaced times for a sampled controller, found steps from "
+            f"{steps.min():.9g} to {steps.max():.9g} s; use a constant step"
+        )
+    if dae.guess.numel():
+        raise ModelError(
+            "model: expected a model without algebraic unknowns for a sampled controller, found "
+            f"{dae.guess.numel()} of them; give one value of the inputs for each interval"
+        )
+    if options.method in ("idas", "explicit"):
+        raise ModelError(
+            "method: expected 'cvodes' for a sampled controller, found "
+            f"{options.method!r}; omit the method"
+        )
+    given = list(leaves(inputs))
+    if any(isinstance(value, PiecewiseLinear) for value in given):
+        raise ModelError(
+            "inputs: expected constants or expressions for a sampled controller, found inputs that "
+            "are linear in time; give them as expressions of model.t"
+        )
+    numbers = [0.0 if isinstance(value, ca.SX) else value for value in given]
+    pairs = [*zip(given, ca.vertsplit(driven), strict=True)]
+    numeric = [symbol for value, symbol in pairs if not isinstance(value, ca.SX)]
+    for label, value in zip(leaves(dae.labels.u), given, strict=True):
+        if isinstance(value, ca.SX):
+            check_law(dae, label, ca.substitute([value], numeric, [ca.SX(0)] * len(numeric))[0])
+    laws = [value if isinstance(value, ca.SX) else symbol for value, symbol in pairs]
+    law = dae.function("law", [dae.t, state, driven], [ca.vertcat(*laws)])
+    return with_inputs(dae, unpack(dae.u, numbers), t.size - 1, options), law
 
 
 @lru_cache(maxsize=8)

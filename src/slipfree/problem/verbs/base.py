@@ -55,7 +55,7 @@ from slipfree.problem.build_vehicle import vehicle_file, visual_meshes
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys, Modelled, MotionKeys
 from slipfree.solve.settle import stable_poses
-from slipfree.solve.simulate import simulate, simulate_sampled
+from slipfree.solve.simulate import simulate
 from slipfree.solve.system import SolverOptions
 from slipfree.system.interrupt import check_interrupt
 
@@ -146,10 +146,9 @@ def integrate(setup: Any, options: SolverOptions, watch: Watch) -> Trajectory:
             return False
         return True
 
-    solver = simulate_sampled if setup.every else simulate
     problem = setup.dae, setup.start, setup.inputs, setup.t
     try:
-        return solver(*problem, options=options, progress=progress)
+        return simulate(*problem, options=options, progress=progress, sampled=bool(setup.every))
     except SolverError as error:
         if error.trajectory is None:
             raise
