@@ -77,6 +77,9 @@ class NlpSolution(NamedTuple):
     success: bool  # whether IPOPT reports a solution, or its time ended where all bounds are met
     iterations: int  # number of iterations
     seconds: dict[str, float]  # wall time: total, functions (evaluation) and rest [s]
+    # term that IPOPT's last step added to the Hessian; zero if it is positive definite without, on
+    # the null space of the equations and with the barrier terms of bounds
+    regularisation: float = np.inf
 
 
 class _IterateWatcher(ca.Callback):
@@ -245,6 +248,7 @@ def _to_solution(scale: Array, results: dict[str, Any], stats: dict[str, Any]) -
         bool(stats["success"]),
         int(stats["iter_count"]),
         {"total": total, "functions": functions, "rest": total - functions},
+        float(stats["iterations"]["regularization_size"][-1]) if stats["iter_count"] else np.inf,
     )
 
 

@@ -145,23 +145,19 @@ def check_optimality(program: Program, solution: NlpSolution, weights: Array) ->
     a = scipy.sparse.diags(1 / np.where(largest > 0, largest, 1.0)) @ a
     layout, place = program.layout, np.cumsum(free) - 1
     chosen = np.append(layout.inputs.ravel(), layout.duration)
-    inputs = place[chosen[free[chosen]]]
+    inputs = scipy.sparse.identity(n).tocsr()[place[chosen[free[chosen]]]]
     try:
         solve = _kkt_solver(h, a)
     except RuntimeError:  # the matrix is singular: the cost does not change in some direction
         return Optimality(n - m, 0.0, active.weak)
-
-    def inverse(v: Array) -> Array:
-        full = np.zeros(n)
-        full[inputs] = v
-        product: Array = solve(full)[inputs]
-        return product
-
-    # With the identity as Hessian, the block is the projection onto the null space.
-    project = _kkt_solver(scipy.sparse.identity(n), a)
-    weakest, largest = _extreme_eigenvalues(inverse, inputs.size)
-    # Large negative curvatures are lost by rounding in the inverse.
-    strongest, _ = _extreme_eigenvalues(lambda v: project(h @ project(v)), n)
+    weakest, largest = _extreme_eigenvalues(lambda v: inputs @ solve(inputs.T @ v), inputs.shape[0])
+    # Large negative curvatures are lost by rounding in the inverse. IPOPT's last step would have
+    # needed a regularisation; its terms of bounds hide them only where bounds are weakly active.
+    strongest = 0.0
+    if active.weak or solution.regularisation > 0:
+        # With the identity as Hessian, the block is the projection onto the null space.
+        project = _kkt_solver(scipy.sparse.identity(n), a)
+        strongest, _ = _extreme_eigenvalues(lambda v: project(h @ project(v)), n)
     # The eigenvalues of the inverse are reciprocal curvatures: the largest belongs to the smallest.
     positive = 1 / largest if largest > 0 else np.inf
     curvature = 1 / weakest if weakest < 0 else strongest if strongest < 0 else positive
@@ -176,11 +172,7 @@ def _kkt_solver(h: scipy.sparse.spmatrix, a: scipy.sparse.spmatrix) -> Operator:
     # LU, since SciPy has no sparse factorisation of symmetric indefinite matrices.
     factors = scipy.sparse.linalg.splu(scipy.sparse.bmat([[h, a.T], [a, below]]).tocsc())
 
-    def solve(v: Array) -> Array:
-        product: Array = factors.solve(np.append(v, np.zeros(m)))[:n]
-        return product
-
-    return solve
+    return lambda v: factors.solve(np.append(v, np.zeros(m)))[:n]
 
 
 def _extreme_eigenvalues(operator: Operator, size: int) -> tuple[float, float]:
