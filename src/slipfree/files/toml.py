@@ -642,15 +642,16 @@ def _number(value: Any) -> float:
     return value if isinstance(value, WithUnit) else float(value)
 
 
-def _piecewise_constant(value: Any) -> float | Piecewise:
+def _piecewise_constant(value: Any, expected: str = PAIRS) -> float | Piecewise:
     """Return a number, or the (time, value) pairs of a piecewise-constant function."""
     value = parse_unit(value)
     if is_number(value):
         return _number(value)
-    pairs = value if isinstance(value, list) else []
-    if not pairs or not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
+    if not isinstance(value, list):
+        raise expected_error(expected)
+    if not value or not all(isinstance(pair, list) and len(pair) == 2 for pair in value):
         raise expected_error(PAIRS)
-    pairs = [(time, parse_unit(rate)) for time, rate in pairs]
+    pairs = [(time, parse_unit(rate)) for time, rate in value]
     if not all(map(is_number, (number for pair in pairs for number in pair))):
         raise expected_error(PAIRS)
     times = [time for time, _ in pairs]
@@ -663,12 +664,8 @@ def _or_text(expected: str) -> PlainValidator:
     """Return a validator of a piecewise-constant function, or a text that names or describes it."""
 
     def read(value: Any) -> float | Piecewise | str:
-        value = parse_unit(value)
-        if isinstance(value, str) and value:
-            return value
-        if not (is_number(value) or isinstance(value, list)):
-            raise expected_error(expected)
-        return _piecewise_constant(value)
+        is_text = isinstance(value, str) and value and parse_unit(value) is value
+        return value if is_text else _piecewise_constant(value, expected)
 
     return PlainValidator(read)
 

@@ -242,7 +242,10 @@ class DirectVerb(base.DriveVerb):
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the motion, complete or up to its stop, and an empty mapping of arrays."""
         run = base.integrate(setup, solver_options(problem), watch)
-        return run.part(slice(0, None, setup.every or 1), run.stop), NOTHING
+        if not setup.every:
+            return run, NOTHING
+        rows = [*range(0, run.t.size - 1, setup.every), run.t.size - 1]  # with the end at a stop
+        return run.part(np.array(rows), run.stop), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including model, law and formulation."""
