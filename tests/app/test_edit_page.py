@@ -4,24 +4,23 @@ One browser and one server serve all tests, since both take seconds to start.
 """
 
 import hashlib
-import json
 import re
 import signal
 import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from helpers.cases import DATA
-from helpers.chromium import headless_chromium
+from helpers.chromium import PATIENCE, complaints, headless_chromium, patiently, phone
 
-PATIENCE = 60.0  # for one step, where many tests share few processors [s]
 PROBLEM = (DATA / "plan_of_a_short_way.toml").read_text()
+ActionChains = pytest.importorskip("selenium.webdriver").ActionChains
 REGIONS = """
 # a tree
 [[keep_out]]
@@ -58,7 +57,7 @@ class EditPage:
     def open(self) -> None:
         """Open the address in the present tab, and wait for the places."""
         self.driver.get(self.address)
-        until(lambda: self.driver.find_elements("id", "handle-goal"))
+        patiently(lambda: self.driver.find_elements("id", "handle-goal"))
 
     def end(self) -> str:
         """End the server by Ctrl-C, and return what it printed after its address."""
@@ -72,7 +71,7 @@ class EditPage:
         self.file.write_text(text, encoding="utf-8")
         revision = hashlib.sha256(text.encode()).hexdigest()[:16]
         self.run("sessionStorage.clear(); adopt(state);")
-        until(lambda: self.run(f"return base?.revision === '{revision}'"))
+        patiently(lambda: self.run(f"return base?.revision === '{revision}'"))
 
     def run(self, script: str) -> Any:
         """Return the value of a script in the page."""
@@ -88,30 +87,11 @@ class EditPage:
 
     def places(self) -> dict[str, Any]:
         """Return the places on the page."""
-        found: dict[str, Any] = json.loads(self.run("return JSON.stringify(places)"))
-        return found
-
-    def line(self) -> str:
-        """Return the report of the page."""
-        return self.words("line")
-
-    def error(self) -> str:
-        """Return the error message of the page."""
-        return self.words("error")
+        return dict(self.run("return places"))
 
     def words(self, name: str) -> str:
-        """Return the text of an element."""
+        """Return the text of an element, such as the report ``line`` or the ``error``."""
         return str(self.driver.find_element("id", name).text)
-
-
-def until(ask: Callable[[], Any]) -> Any:
-    """Return the first answer that is true."""
-    end = time.monotonic() + PATIENCE
-    while time.monotonic() < end:
-        if answer := ask():
-            return answer
-        time.sleep(0.05)
-    raise TimeoutError(f"no answer within {PATIENCE} s")
 
 
 def shapes_in(data: dict[str, Any]) -> list[Any]:
@@ -126,7 +106,7 @@ def shapes_in(data: dict[str, Any]) -> list[Any]:
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EditPage]:
     file = tmp_path_factory.mktemp("edit") / "short.toml"
     file.write_text(PROBLEM, encoding="utf-8")
-    with headless_chromium((1100, 700), PATIENCE) as driver:
+    with headless_chromium((1100, 700)) as driver:
         page = EditPage(driver, file)
         try:
             page.open()
@@ -144,8 +124,6 @@ def page(served: EditPage) -> EditPage:
 
 
 def drag(page: EditPage, handle: str, right: int, down: int) -> None:
-    from selenium.webdriver import ActionChains
-
     element = page.driver.find_element("id", f"handle-{handle}")
     ActionChains(page.driver, duration=50).drag_and_drop_by_offset(element, right, down).perform()
 
@@ -166,16 +144,12 @@ def data_of(page: EditPage) -> dict[str, Any]:
     return tomllib.loads(page.file.read_text(encoding="utf-8"))
 
 
-def severe(page: EditPage) -> list[Any]:
-    return [each for each in page.driver.get_log("browser") if each["level"] == "SEVERE"]
-
-
 def test_a_plan_is_drawn_and_compared_with_the_last_one(page: EditPage) -> None:
     paths = []
     for _ in range(2):
         page.click("plan")
-        until(lambda: page.driver.find_element("id", "cancel").is_enabled())
-        until(lambda: page.line() == "found a plan")
+        patiently(lambda: page.driver.find_element("id", "cancel").is_enabled())
+        patiently(lambda: page.words("line") == "found a plan")
         paths.append(page.driver.find_element("id", "path-plan").get_attribute("points"))
         drag(page, "goal", 30, 0)
     assert paths[0] != paths[1]
@@ -193,8 +167,6 @@ def test_dragged_handles_change_values_and_the_saved_file(page: EditPage) -> Non
     assert value(page, "start-y") == pytest.approx(-1.5, abs=tolerance)
     drag(page, "start-heading", -46, 46)  # from north to west
     assert value(page, "start-heading") == pytest.approx(1.5708, abs=0.05)
-    from selenium.webdriver import ActionChains
-
     goal = page.driver.find_element("id", "handle-goal")
     ActionChains(page.driver).click_and_hold(goal).move_by_offset(0, -round(metre)).perform()
     assert page.driver.find_element("id", "tilt").get_attribute("width")
@@ -218,7 +190,7 @@ def test_dragged_handles_change_values_and_the_saved_file(page: EditPage) -> Non
     assert value(page, "start-y") == moved
     before = {name: value(page, name) for name in ("start-x", "start-y", "goal-y")}
     page.click("save")
-    until(lambda: page.line() == "saved short.toml")
+    patiently(lambda: page.words("line") == "saved short.toml")
     text, data = page.file.read_text(encoding="utf-8"), data_of(page)
     assert "# east of the origin [m]" in text
     assert data["start"]["x"] == before["start-x"]
@@ -227,13 +199,13 @@ def test_dragged_handles_change_values_and_the_saved_file(page: EditPage) -> Non
     assert high - low == pytest.approx(0.2)
     assert data["keep_out"][0]["radius"] == 0.5
     assert len(data["keep_out"]) == 2
-    assert severe(page) == []
+    assert complaints(page.driver) == []
 
 
 def test_polygons_are_added_and_saved_and_way_points_are_shown(page: EditPage) -> None:
     way = "[[way_points]]\nat = 0.5\nx = 0.4\ny = [-0.6, -0.4]\n\n[[keep_out]]"
     page.file.write_text(PROBLEM.replace("[[keep_out]]", way), encoding="utf-8")
-    until(lambda: page.driver.find_elements("id", "way-name-0"))  # the page loads again
+    patiently(lambda: page.driver.find_elements("id", "way-name-0"))  # the page loads again
     assert page.driver.find_element("id", "way-name-0").text == "way-point at 0.5"
     metre = pixels_per_metre(page)
     page.click("polygon")
@@ -243,7 +215,7 @@ def test_polygons_are_added_and_saved_and_way_points_are_shown(page: EditPage) -
     assert not page.driver.find_elements("id", "handle-keep-1-4")
     drag(page, "keep-1-1-new", round(metre), 0)  # the side to the east gets a corner
     page.click("save")
-    until(lambda: page.line() == "saved short.toml")
+    patiently(lambda: page.words("line") == "saved short.toml")
     disc, polygon = data_of(page)["keep_out"]
     assert disc["radius"] == 0.5
     points = polygon["points"]
@@ -252,19 +224,19 @@ def test_polygons_are_added_and_saved_and_way_points_are_shown(page: EditPage) -
     (corner,) = (point for point in points if point[0] == east)
     assert points.index(corner) == 2
     assert east == pytest.approx(points[1][0] + 1.0, abs=2 / metre)
-    assert severe(page) == []
+    assert complaints(page.driver) == []
 
 
 def test_a_cancelled_search_ends_at_once_and_the_page_goes_on(page: EditPage) -> None:
     page.write(PROBLEM.replace("intervals = 6", "intervals = 400"))
     page.click("plan")
-    until(lambda: page.driver.find_elements("id", "iterate-0"))
+    patiently(lambda: page.driver.find_elements("id", "iterate-0"))
     metre = pixels_per_metre(page)
     drag(page, "goal", round(metre), 0)  # the page responds during the search
     assert value(page, "goal-x") == pytest.approx(1.0, abs=1.5 / metre)
     begin = time.monotonic()
     page.click("cancel")
-    until(lambda: page.line() == "cancelled")
+    patiently(lambda: page.words("line") == "cancelled")
     assert time.monotonic() - begin < 5
     assert page.driver.find_element("id", "plan").is_enabled()
     assert page.driver.find_elements("id", "iterate-0")  # its last iterates stay visible
@@ -290,7 +262,7 @@ def test_a_removed_region_is_the_only_one_that_the_file_loses(page: EditPage) ->
     assert shown == shapes_in(data)
     for comment in ("# east of the origin [m]", "# rock", "# pond"):
         assert comment in found
-    assert page.error() == ""
+    assert page.words("error") == ""
 
 
 def test_a_stale_page_keeps_its_changes_until_the_user_chooses(page: EditPage) -> None:
@@ -305,7 +277,7 @@ def test_a_stale_page_keeps_its_changes_until_the_user_chooses(page: EditPage) -
     page.click("save")
     page.rest()
     page.driver.switch_to.window(second)
-    until(lambda: is_stale(page))
+    patiently(lambda: is_stale(page))
     page.run("command('save', {})")  # refused also without the disabled button
     page.rest()
     assert len(data_of(page)["keep_out"]) == 2
@@ -319,22 +291,20 @@ def test_a_stale_page_keeps_its_changes_until_the_user_chooses(page: EditPage) -
     assert shapes_in(data) == [[[[2.0, 3.0], [3.0, 3.0], [3.0, 4.0]], None]]
     page.driver.close()
     page.driver.switch_to.window(first)
-    until(lambda: page.places()["start"][0] == 0.25)  # without changes it shows the file
+    patiently(lambda: page.places()["start"][0] == 0.25)  # without changes it shows the file
     page.run("places.start[0] = 0.75; draw();")
     page.file.write_text(PROBLEM, encoding="utf-8")
-    until(lambda: is_stale(page))
+    patiently(lambda: is_stale(page))
     page.click("discard")
     assert page.places()["start"][0] == 0.0
     assert len(page.places()["regions"]) == 1
 
 
 def test_a_restarted_server_and_double_clicks_lose_no_change(page: EditPage) -> None:
-    from selenium.webdriver import ActionChains
-
     page.run("remember(); places.start[0] = 0.5; draw();")
     page.end()
     page.start()
-    until(lambda: "was started again" in page.error())
+    patiently(lambda: "was started again" in page.words("error"))
     assert page.places()["start"][0] == 0.5
     page.open()
     assert page.places()["start"][0] == 0.5
@@ -348,14 +318,12 @@ def test_a_restarted_server_and_double_clicks_lose_no_change(page: EditPage) -> 
     page.click("save")
     page.rest()
     assert shapes_in(data_of(page)) == [[[[3.0, 0.0]], 0.5]]
-    assert page.error() == ""
+    assert page.words("error") == ""
 
 
 @pytest.mark.parametrize("width", [320, 390])
 def test_a_phone_shows_map_and_panel_without_scrolling_sideways(page: EditPage, width: int) -> None:
-    size = {"width": width, "height": 700, "deviceScaleFactor": 2, "mobile": True}
-    page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    try:
+    with phone(page.driver, width, 700):
         page.open()
         seen = "return [innerWidth, document.documentElement.scrollWidth, svg.clientWidth]"
         assert page.run(seen) == [width] * 3
@@ -366,6 +334,4 @@ def test_a_phone_shows_map_and_panel_without_scrolling_sideways(page: EditPage, 
         before = pixels_per_metre(page)
         page.run(f"svg.setPointerCapture = () => {{}}; {fingers}")
         assert pixels_per_metre(page) == pytest.approx(2 * before)
-    finally:
-        page.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-        page.open()
+    page.open()

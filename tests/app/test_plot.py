@@ -24,7 +24,7 @@ from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Trajectory, path_length
 from slipfree.geometry.regions import Region
 from slipfree.routing.traversability import blocked_by, free_space, traversability
-from slipfree.show import motion_figures, plan_figures, plots, style
+from slipfree.show import ground_drawing, motion_figures, plan_figures, plots, style
 from slipfree.show.motion_figures import ground_plot
 from slipfree.terrain.synthetic import blank, craters
 
@@ -165,6 +165,12 @@ def test_ground_is_a_map_of_equal_scales(grid, ax):
     assert heights.shape == (motion_figures.HEATMAP, motion_figures.HEATMAP)
     assert heights[0, -1] == pytest.approx(grid.z[-1, 0])  # south east
     assert heights[-1, 0] == pytest.approx(grid.z[0, -1])  # north west
+
+
+def test_heights_of_contours_are_dark(grid, ax):
+    texts = ground_drawing.contours(grid, ax, grid.domain).texts
+    assert len(texts) > 3
+    assert max(max(to_rgb(each.get_color())) for each in texts) < 0.3
 
 
 def test_path_marks_start_and_end(run, ax):

@@ -1,6 +1,7 @@
 """Tests of the progress report without a terminal: a few lines on stderr."""
 
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,21 @@ def test_more_lines_of_a_phase_that_lasts(monkeypatch: pytest.MonkeyPatch) -> No
     assert all(line.startswith("checking the motion: ") for line in lines[len(times) :])
     assert len(times) > 5
     assert times == sorted(times)
+
+
+def test_bars_can_be_read_on_every_background(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They have the colour of the text: the cyan of some terminals is pale on white."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    with console.counted("figures") as show:
+        show(1, 2)
+    with console.reporting(2.0) as reports:
+        reports.time(1.0)
+    printed = capsys.readouterr().err
+    assert {"figures", "solving"} <= {*re.findall("[a-z]+", printed)}
+    assert {*re.findall(r"\x1b\[([\d;]*)m", printed)} <= {"", "0", "1", "2"}
 
 
 @pytest.mark.slow

@@ -318,7 +318,7 @@ def test_results_and_maps_draw_themselves(tmp_path, calls):
     for result, name, axes in (*((run, *each) for each in drawn), (poses, *drawn[0])):
         for figure in (sf.plot(result, name), result.plot(name)):
             assert axes in figure.axes[0].get_xlabel()
-    for record in (run, poses, model.vehicle, model.ground):
+    for record in (run, poses, model, model.vehicle, model.ground):
         assert record._repr_html_().count("<tr>") == len(lines_of(record)) - 1 > 1
     refuses(sf.ModelError, "did you mean 'rates'", sf.plot, run, "rate")
     refuses(sf.ModelError, "result: expected Trajectory", sf.plot, model)

@@ -437,7 +437,8 @@ def reporting(duration: float | None) -> Iterator[Reports]:
             from rich.markup import escape
             from rich.progress import Progress
 
-            bar = stack.enter_context(Progress(console=Console(file=stderr), transient=True))
+            console = Console(file=stderr, no_color=True)  # some colours are pale on white
+            bar = stack.enter_context(Progress(console=console, transient=True))
             task = bar.add_task("solving", total=duration)
         yield Reports(show_time, show_search)
 
@@ -615,7 +616,7 @@ def counted(words: str) -> Iterator[Callable[..., None]]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    console = Console(stderr=True)
+    console = Console(stderr=True, no_color=True)
     if not (console.is_terminal and has_bar()):
         begun, due = time.monotonic(), FIRST_LINE
 

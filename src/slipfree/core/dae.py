@@ -15,7 +15,7 @@ from slipfree.core import records
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, similar
 from slipfree.core.lookups import CellBounds, Lookup, lookup_function
-from slipfree.core.records import Array, Indices, Label, Mask, Record, leaves
+from slipfree.core.records import Array, HtmlRepr, Indices, Label, Mask, Record, leaves
 from slipfree.core.schema import Finite
 from slipfree.core.trajectory import Outcome, Trajectory
 from slipfree.system.forks import cached_property
@@ -281,7 +281,7 @@ class Holding(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Dae(Generic[X, Z, U, Y]):
+class Dae(HtmlRepr, Generic[X, Z, U, Y]):
     """Semi-explicit DAE of index 1: ``x' = ode(t, x, z, u)``, ``0 = alg(t, x, z, u)``.
 
     Without ``z`` and ``alg`` the model is an ordinary differential equation. The algebraic

@@ -130,7 +130,8 @@ def html_table(rows: Iterable[tuple[str, ...]]) -> str:
     for name, *cells in rows:
         below = ' class="below"' if name.startswith(" ") else ""
         values = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-        lines.append(f'<tr><th scope="row"{below}>{escape(name.strip())}</th>{values}</tr>')
+        head = f'<th scope="row" style="text-align:left"{below}>{escape(name.strip())}</th>'
+        lines.append(f"<tr>{head}{values}</tr>")
     return "\n".join(["<table>", *lines, "</table>"])
 
 

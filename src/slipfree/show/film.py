@@ -50,7 +50,9 @@ CAMERA = np.radians((28.0, -55.0))  # elevation and azimuth of the viewer
 TITLE = 80  # number of characters in a line of the title
 HEAD = 0.3, 0.4  # length of an arrow's head over the arrow's, and its width over its length
 WIDTH = 125  # number of characters in a line below the film
-BELOW = {"fc": "white", "ec": "none", "pad": 1.5}  # behind the text below a film
+LEFT: dict[str, Any] = {"x": 0.02, "ha": "left", "parse_math": False}  # of texts above and below
+HEAD_LINE = {**LEFT, "fontsize": 9, "weight": "bold"}
+BELOW = {**LEFT, "fontsize": 7, "bbox": {"fc": "white", "ec": "none", "pad": 1.5}}
 
 
 def film_writer(file: Path, rate: int) -> AbstractMovieWriter:
@@ -125,9 +127,8 @@ def picture(scene: Scene, title: str, time: float | None = None) -> Plot:
         view = View(figure.subplots(), wide, PICTURE_NODES)
         view.add_paths(scene)
         view.show(scene, at)
-        figure.suptitle(title, x=0.02, ha="left", fontsize=9, weight="bold", parse_math=False)
-        below = "; ".join([f"t = {at:.4g} s", *_told(scene)])
-        figure.supxlabel(below, x=0.02, ha="left", fontsize=7, parse_math=False, bbox=BELOW)
+        figure.suptitle(title, **HEAD_LINE)
+        figure.supxlabel("; ".join([f"t = {at:.4g} s", *_told(scene)]), **BELOW)
         return figure
 
     return Plot("vehicle", "The vehicle on its ground.", make)
@@ -155,14 +156,13 @@ class Film:
         self.markers = _draw_paths(flat, scene)
         self.cursors = _draw_curves(below, scene)
         head = textwrap.fill(title, TITLE) or " "  # keeps the line of the clock free
-        above.suptitle(head, x=0.02, ha="left", fontsize=9, weight="bold", parse_math=False)
+        above.suptitle(head, **HEAD_LINE)
         self.clock = figure.text(0.98, 0.98, "", ha="right", va="top", fontsize=9)
         told = [*_told(scene), *([f"{speed:.3g} times real speed"] if speed > 1 else [])]
         lines = ["; ".join(told), *scene.warnings]
         lines += [f"{actor.name} {actor.stop}" for actor in scene.actors if actor.stop]
         caption = "\n".join(textwrap.fill(line, WIDTH) for line in lines)
-        look: dict[str, Any] = {"ha": "left", "fontsize": 7, "parse_math": False, "bbox": BELOW}
-        below.supxlabel(caption, x=0.02, **look)
+        below.supxlabel(caption, **BELOW)
         self.moving = [*self.markers, *self.cursors, *self.view.artists, self.clock]
         for artist in self.moving:
             artist.set_animated(True)
@@ -283,9 +283,7 @@ def draw_faces(
     places = projected(corners, middle)
     order = np.argsort(places[..., 2].mean(axis=1))
     artist.set_verts(places[order, :, :2])  # type: ignore[arg-type]  # faster than a list
-    looks = (np.clip(shade, 0, 1)[:, None] * colors)[order]
-    artist.set_facecolor(looks)
-    artist.set_edgecolor(looks)
+    artist.set_color((shade[:, None] * colors)[order])
 
 
 def _told(scene: Scene) -> list[str]:

@@ -108,8 +108,8 @@ def contours(grid: Grid, ax: Axes, window: Window) -> Axes:
     if np.nanmax(z) > np.nanmin(z):
         # samples are little more than a pixel apart: every second one suffices for lines
         made = ax.contour(x[::2], y[::2], z.T[::2, ::2], 10, colors="0.5", linewidths=0.4, zorder=1)
-        levels = np.asarray(made.levels)[::2]
-        for words in ax.clabel(made, levels, fontsize=5, fmt="%g m", inline_spacing=2, zorder=3.5):
+        look: dict[str, Any] = {"fontsize": 5, "fmt": "%g m", "inline_spacing": 2, "zorder": 3.5}
+        for words in ax.clabel(made, np.asarray(made.levels)[::2], colors="0.15", **look):
             words.set_path_effects(style.halo(1.5))
             inside = ax.transAxes.inverted().transform(ax.transData.transform(words.get_position()))
             words.set_visible(bool(np.all(np.abs(inside - 0.5) < INSIDE)))

@@ -35,7 +35,7 @@ from slipfree.vehicle.tree import Vehicle
 
 SAVED_KEYS = "Keys: space: play or pause; left, right: step; home, end: first and last time."
 MOST = 400_000  # larger vector graphics become raster graphics [bytes]
-PIXELS = 120  # pixels of the page per inch of a figure
+PIXELS, LEAST = 120, 0.62  # pixels of the page per inch of a figure; its smallest scale on phones
 VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # for reproducible pages
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 MAP_PIXELS, MAP_DPI = 1600, 400  # longer side of the map for planning, pixels per inch of its text
@@ -162,8 +162,9 @@ def page(report: Report, progress: Callable[[int, int], object] | None = None) -
     for plot in report.figures:
         caption, (drawn,) = escape(plot.caption), draw([plot]).values()
         width = PIXELS * float(drawn.get_figwidth())
+        size = f'width="{width:.0f}" style="min-width:{LEAST * width:.0f}px"'
         figures.append(
-            f'<figure><img alt="{caption}" width="{width:.0f}" src="{image(drawn)}">'
+            f'<figure><img alt="{caption}" {size} src="{image(drawn)}">'
             f"<figcaption>{caption}</figcaption></figure>\n"
         )
         if progress is not None:
@@ -193,8 +194,7 @@ def page(report: Report, progress: Callable[[int, int], object] | None = None) -
 
 def image(figure: Figure) -> str:
     """Return a figure as a data URI: SVG, or PNG if the SVG exceeds 400 000 bytes."""
-    drawn = _written(figure, "svg")
-    kind = "svg+xml"
+    drawn, kind = _written(figure, "svg"), "svg+xml"
     if len(drawn) > MOST:
         drawn, kind = _written(figure, "png"), "png"
     return f"data:image/{kind};base64,{b64encode(drawn).decode()}"

@@ -21,7 +21,7 @@ from slipfree.contact.closure import has_exact_closure
 from slipfree.core.errors import DataError
 from slipfree.core.facts import Fact, Facts, Lines, Row, lines, rows
 from slipfree.core.quantities import QUANTITIES, extremes, joint_angles
-from slipfree.core.records import Array, leaves
+from slipfree.core.records import Array, HtmlRepr, leaves
 from slipfree.core.trajectory import (
     Outcome,
     SolverError,
@@ -184,7 +184,7 @@ def with_diagnostics(
 
 
 @dataclass(frozen=True, eq=False)
-class Result(Generic[P, D]):
+class Result(HtmlRepr, Generic[P, D]):
     """Motion of a problem, from `run_problem` or from a result file.
 
     Attributes
