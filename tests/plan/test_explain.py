@@ -9,21 +9,21 @@ import pytest
 
 from helpers.cases import BOUNDED_RATES, hills, straight_on
 from helpers.toy_models import task, toy
-from slipfree import Analytic, Outcome, direct_kinematics, settle
+from slipfree import Analytic, Outcome, catalog, direct_kinematics, settle
 from slipfree.catalog import articulated, three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
-from slipfree.plan.constraints import conflicts
+from slipfree.plan.constraints import conflicts, with_first_limits
 from slipfree.plan.explanation import explanation, relax, violation_words, violations
 from slipfree.plan.ipopt import TIME_STATUS, NlpSolution, solve_program
 from slipfree.plan.optimality import check_optimality, limit_prices, price_rows, prices_words
 from slipfree.plan.plan import plan
 from slipfree.plan.polynomial_motion import guess_unknowns, motion_of
-from slipfree.plan.problem import limits_of
+from slipfree.plan.problem import task_of
 from slipfree.plan.search import Search, SearchState, solve_relaxed
 from slipfree.plan.stage import Cost
-from slipfree.plan.transcription import CollocationMesh, Mesh, PlanTask, TimedCondition, transcribe
-from slipfree.plan.verification import exceeds_between
+from slipfree.plan.transcription import CollocationMesh, Mesh, TimedCondition, transcribe
+from slipfree.plan.verification import excess_between
 
 
 def integrator():
@@ -184,7 +184,7 @@ def test_intervals_on_which_a_plan_exceeds_a_limit_between_its_points_are_known(
     motion = motion_of(program, unknowns)
     for top, worse in ((1.1, [True, False]), (1.13, [False, False])):
         limit = along(dae.x.values[0], -np.inf, top)
-        assert exceeds_between(program, motion, [limit]).tolist() == worse
+        assert (excess_between(program, motion, limit) > 1e-6).tolist() == worse
 
 
 def test_the_motion_of_the_relaxation_is_the_result_after_the_time_limit():
@@ -199,6 +199,14 @@ def test_the_motion_of_the_relaxation_is_the_result_after_the_time_limit():
         assert (found.found.success, found.found.status) == (goal < 1, TIME_STATUS)
         missed = violations(program, found.found)
         assert bool(missed) == bool(found.relaxation.relaxed) == (goal > 1)
+
+
+def test_searches_with_pressed_wheels_are_limited_to_attitudes_in_which_the_vehicle_stands():
+    expected = {catalog.rigid_skid_steer: ["upright", "tip_over"], catalog.skid_steer: []}
+    for make, names in expected.items():
+        dae = direct_kinematics(make(), Analytic(lambda x, y: 0.02 * x * y))
+        asked = task_of(dae, settle(dae), goal={"y": 1.0}, costs={"effort": 1.0})
+        assert [limit.label.name for limit in with_first_limits(asked).limits] == names
 
 
 def test_equations_without_a_solution_and_stopped_searches_are_said_to_be_so():
@@ -263,17 +271,9 @@ def test_limits_of_wheels_and_of_the_model_are_named():
     """A stop of the tilt that the goal exceeds, and a limit that one wheel does not keep to."""
     vehicle, t = three_wheeler(tilt_stop=0.04), np.linspace(0, 5, 31)
     dae, start, guess = straight_on(vehicle, Analytic(hills), 0.45, t)
-    asked = PlanTask(
-        dae,
-        dae.rows("x", start, -1),
-        (5.0, 5.0),
-        (),
-        (TimedCondition(1.0, limits_of(dae, {"tilt_right": (0.1, 0.1), "y": (0.5, 0.5)})),),
-        limits_of(dae, {"slip_across": (-1.0, 1.0), "contact_y": (-9.0, -0.6)}),
-        np.array([[-0.5, 0.5]] * 3),
-        np.tile([-np.inf, np.inf], (3, 1)),
-        0.01,
-    )
+    goal = {"tilt_right": 0.1, "y": 0.5}
+    limits = {"slip_across": (-1.0, 1.0), "contact_y": (-9.0, -0.6)}
+    asked = task_of(dae, start, goal=goal, limits=limits, costs={"effort": 1.0}, duration=5.0)
     told = conflicts(asked, start)
     assert told[-1] == (
         "tilt_right at the goal must be 0.1 rad, but model's own tilt_right_stop of the vehicle "
@@ -414,11 +414,9 @@ def test_prices_are_the_derivatives_of_the_least_cost(model):
         assert rates[key] == pytest.approx(slope, rel=2e-3), key
     (price,) = (each for each in found.prices if each.label.name == "steer")
     share = 100 * abs(price.rate) * 0.001 / found.solution.cost
-    side = "at least -0.12" if price.side == "at least" else "at most 0.12"
-    direction = "less" if price.side == "at least" else "more"
-    words = (
-        f"steer of the vehicle {side} rad: 0.001 rad {direction} saves {share:.2g} % of the cost"
-    )
+    side, change = ("-0.12", "less") if price.side == "at least" else ("0.12", "more")
+    words = f"vehicle {price.side} {side} rad: 0.001 rad {change} saves {share:.2g} % of the cost"
+    words = f"steer of the {words}"
     assert price.words == words
     assert words in prices_words(price_rows(found.prices))
     assert prices_words(()) == "no limit increases the cost noticeably"
@@ -467,6 +465,19 @@ def test_a_steered_frame_does_not_fold_on_the_way_to_a_goal_behind():
     assert not any("bend_stop" in stage.words for stage in found.stages)
     (stop,) = (each for each in dae.limits if each.label.full == "bend_stop")
     assert np.abs(found.replay["bend"]).max() < stop.upper
+
+
+@pytest.mark.slow
+def test_a_car_parks_with_its_steering_at_the_stops():
+    """Between the points of each finer mesh the steering angle exceeded its stop again."""
+    ground = Analytic(lambda x, y: 0.03 * ca.sin(x + 0.4) * ca.cos(y))
+    dae = direct_kinematics(catalog.ackermann(), ground)
+    x, y = dae.x.x, dae.x.y
+    discs = [along((x - 1.5) ** 2 + (y - 2.2 * k) ** 2, 1.96, np.inf, f"d{k}") for k in (1, -1)]
+    given = {"costs": {"slip": 1e3, "effort": 0.01}, "limits": discs}
+    found = plan(dae, settle(dae), goal={"x": 1.5, "y": 0.0, "heading": 0.0}, **given)
+    assert found.accurate
+    assert 0.69 < np.abs(found.replay["steer"]).max() < 0.7
 
 
 @pytest.mark.slow

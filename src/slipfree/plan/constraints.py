@@ -32,6 +32,7 @@ LIMITED_SUFFIX = " is limited by the plan"  # end of the description of a limit 
 FIXED_POINT_FROM = 1000.0  # larger values have three decimals, since four digits are too few
 LIMIT_CLEARANCE = 1e-5  # distance of plans from limits of the model, in their units
 BOUND_TOLERANCE = 1e-9  # largest gap between consistent bounds, in their unit
+ATTITUDE = "upright", "tip_over"  # names of limits of the model
 REMEDIES = {
     "start": "start elsewhere",
     LIMIT: "widen the limit",
@@ -74,21 +75,23 @@ class Constraint(NamedTuple):
     typical: float = 0.0  # of the terms of an equation, in the label's unit; else zero
 
 
-def with_clearance(limit: Limit) -> Limit:
-    """Return a limit that is narrower by `LIMIT_CLEARANCE` on both sides."""
-    return limit._replace(lower=limit.lower + LIMIT_CLEARANCE, upper=limit.upper - LIMIT_CLEARANCE)
+def with_clearance(limit: Limit, clearance: float = LIMIT_CLEARANCE) -> Limit:
+    """Return a limit that is narrower by a clearance on both sides."""
+    return limit._replace(lower=limit.lower + clearance, upper=limit.upper - clearance)
 
 
-def with_joint_stops(task: PlanTask) -> PlanTask:
+def with_first_limits(task: PlanTask) -> PlanTask:
     """Return a task with the model's limits of single states: the stops of joints.
 
     As bounds of unknowns they add no rows. Without them, joints fold at cusps of a guess, and later
-    searches find no way back.
+    searches find no way back. Vehicles whose wheels press into the ground may also overturn during
+    a search: their attitude is limited, too.
     """
     have, stops = {limit.label.full for limit in task.limits}, list[Limit]()
-    for limit in task.dae.limits:
+    attitude = ATTITUDE if task.dae.rest.numel() else ()
+    for limit in task.dae.all_limits:
         is_state = (variable_of(task, limit.expression) or "")[:1] == ("x",)
-        if is_state and limit.label.full not in have:
+        if (is_state or limit.label.name in attitude) and limit.label.full not in have:
             stops.append(with_clearance(limit))
     return replace(task, limits=(*task.limits, *stops))
 

@@ -22,7 +22,10 @@ STOPPED_STATUS = "User_Requested_Stop"  # status after the callback returned Fal
 TIME_STATUS = "Maximum_WallTime_Exceeded"
 ITERATIONS_STATUS = "Maximum_Iterations_Exceeded"
 SIMULATED_STATUS = "Simulated"  # own status of a plan that is a simulation
-NOT_LEAST_STATUSES = (TIME_STATUS, SIMULATED_STATUS)  # of plans whose cost may not be minimal
+NOT_LEAST = {  # by the status of a stage of plans whose cost may not be minimal
+    TIME_STATUS: "the search ended early",
+    SIMULATED_STATUS: "on no mesh did a plan agree with its simulation: this plan is a simulation",
+}
 ENDED_STATUSES = (STOPPED_STATUS, TIME_STATUS)  # no further program is solved after them
 MAX_FUTILE_ITERATIONS = 150  # without halving the violation; up to 97 in successful searches
 RISING_SPAN = 10  # iterations after which a larger violation counts as rising

@@ -28,10 +28,10 @@ from slipfree.core.trajectory import (
     Trajectory,
     path_length,
 )
-from slipfree.plan.constraints import with_joint_stops
+from slipfree.plan.constraints import with_first_limits
 from slipfree.plan.explanation import explanation
 from slipfree.plan.guess import initial_guess
-from slipfree.plan.ipopt import NOT_LEAST_STATUSES, STOPPED_STATUS, TIME_STATUS, NlpSolution
+from slipfree.plan.ipopt import NOT_LEAST, STOPPED_STATUS, TIME_STATUS, NlpSolution
 from slipfree.plan.optimality import Optimality, Price, check_optimality, limit_prices
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
@@ -174,14 +174,14 @@ class Plan(SimulatedPlan, Drawable):
     @cached_property
     def optimality(self) -> Optimality | None:
         """Second-order conditions at the solution; None if the program was not solved."""
-        if not self.success or self.solution.status in NOT_LEAST_STATUSES:
+        if not self.success or self.solution.status in NOT_LEAST:
             return None
         return check_optimality(self.program, self.solution, cost_weights(self.program, 1.0))
 
     @cached_property
     def prices(self) -> tuple[Price, ...]:
         """Shadow prices of active limits, largest saving first; empty if ``success`` is False."""
-        is_optimal = self.success and self.solution.status not in NOT_LEAST_STATUSES
+        is_optimal = self.success and self.solution.status not in NOT_LEAST
         return limit_prices(self.program, self.solution) if is_optimal else ()
 
 
@@ -337,7 +337,7 @@ def solve_task(
     clock, begun = time.process_time(), time.monotonic()
     check_task(task, start)
     model, former, motions = task.dae, search.resume, list(guesses)
-    task = replace(with_joint_stops(task), deadline=begun + SEARCH_SHARE * search.seconds)
+    task = replace(with_first_limits(task), deadline=begun + SEARCH_SHARE * search.seconds)
     nominal = [float(motion.t[-1] - motion.t[0]) for motion in motions]
     if not motions and former is None:
         motion, length = initial_guess(task, start, options)

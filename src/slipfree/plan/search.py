@@ -509,7 +509,8 @@ def _refine(
             break
         mesh = refine_mesh(search.program.mesh, verification.worse)
         words = f"{mesh.ends.size - 1} intervals"
-        program = transcribe(search.program.task, mesh, search.program.options)
+        task = replace(search.program.task, limits=verification.limits)
+        program = transcribe(task, mesh, search.program.options)
         finer = _solve_anew(search, program, words, progress, most=MAX_REFINED_ITERATIONS)
         finer = _add_limits(finer, progress)
         if not finer.found.success:

@@ -20,6 +20,7 @@ from slipfree.plan.constraints import (
     role_of,
     shift_of,
     subject,
+    with_clearance,
 )
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
@@ -58,6 +59,9 @@ class Verification(NamedTuple):
         Excess of the simulation over each limit of each way-point and of the goal, in its unit:
         positive above the upper bound, negative below the lower one, otherwise zero. Empty if the
         simulation ends early, violates another limit, or is one with another model.
+    limits : tuple of Limit
+        Limits of the next program: that at which the simulation ended has as much more clearance as
+        the plan exceeds it between its points.
     """
 
     replay: Trajectory
@@ -67,6 +71,7 @@ class Verification(NamedTuple):
     worse: Mask = np.zeros(0, dtype=bool)
     accurate: bool = False
     misses: tuple[Array, ...] = ()
+    limits: tuple[Limit, ...] = ()
 
 
 def verify_plan(
@@ -79,7 +84,10 @@ def verify_plan(
     (``dae.replay``), only positions and angles must agree.
     """
     task, motion = program.task, motion_of(program, unknowns)
-    dae, limits, other = task.dae, task.limits, task.dae.replay
+    dae, other = task.dae, task.dae.replay
+    exact = {limit.label.full: limit for limit in dae.all_limits}  # without clearance
+    limits = tuple(exact.get(limit.label.full, limit) for limit in task.limits)
+    further = [*task.limits]
     model, options = dae if other is None else other.model, program.options
     # The error test of the unknowns, which follow from the states, would triple the steps. Rounding
     # can end the first steps of wheels that press into the ground, but not at the given tolerance.
@@ -122,10 +130,13 @@ def verify_plan(
             worse[where[(over > allowed * REFINED_FRACTION).any(axis=0)]] = True
         if replay.stop is not None:
             # A finer mesh helps only if the simulation ended at a limit that the program contains.
-            ended = [limit for limit in limits if limit.label.full == replay.stop.name]
-            if ended:
-                worse |= exceeds_between(program, motion, ended)
-                worse[where[-1]] = True
+            for k, limit in enumerate(task.limits):
+                if limit.label.full == replay.stop.name:
+                    between = excess_between(program, motion, limit)
+                    worse |= between > VIOLATION_TOLERANCE
+                    worse[where[-1]] = True
+                    # a joint that stays near its stop exceeds it elsewhere on every finer mesh
+                    further[k] = with_clearance(limit, float(between.max()))
         met = not worse.any() and all(own.max(initial=0) <= accuracy for *_, own in judged[1:])
     differences = np.abs(gaps).max(axis=1).tolist()
     return Verification(
@@ -136,6 +147,7 @@ def verify_plan(
         worse,
         met and replay.stop is None,
         () if exceeds or other or replay.stop else tuple(misses),
+        tuple(further),
     )
 
 
@@ -227,8 +239,8 @@ def limit_values(
     return np.array(f.map(t.size)(t[None], x, z, u)).reshape(len(limits), t.size)
 
 
-def exceeds_between(program: Program, motion: PolynomialMotion, limits: Sequence[Limit]) -> Mask:
-    """Return the mask of intervals on which a plan exceeds limits between its points."""
+def excess_between(program: Program, motion: PolynomialMotion, limit: Limit) -> Array:
+    """Return by how much a plan exceeds a limit between its points, shape (n_intervals,)."""
     dae, ends = program.task.dae, program.mesh.ends
     inside = np.linspace(0, 1, MIN_INTERVAL_SAMPLES)
     at = (ends[:-1, None] + np.diff(ends)[:, None] * inside).ravel()
@@ -236,8 +248,8 @@ def exceeds_between(program: Program, motion: PolynomialMotion, limits: Sequence
     z = np.zeros((dae.scale.size, at.size))
     z[: len(planned)] = planned
     samples = at * motion.duration, motion.states(at), z, motion.inputs(at)
-    over = np.abs(_beyond(limits, limit_values(dae, limits, samples))) > VIOLATION_TOLERANCE
-    return np.asarray(over.any(axis=0).reshape(ends.size - 1, -1).any(axis=1))
+    over = np.abs(_beyond([limit], limit_values(dae, [limit], samples)))
+    return np.asarray(over.reshape(ends.size - 1, -1).max(axis=1))
 
 
 def _error_sources(gaps: Array, where: Index, accuracy: float, count: int) -> Mask:

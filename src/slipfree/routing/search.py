@@ -648,30 +648,19 @@ def separation_words(layers: Traversability, places: Sequence[Point], *, by_fric
 
 
 def _keep_out_words(layers: Traversability, start: Point, goal: Point) -> str:
-    """Return which keep-out regions separate start and goal; empty if they do not."""
-    ends = node_at(layers, *start), node_at(layers, *goal)
-    regions = layers.limits.keep_out
-    if not (regions and _divides(layers, regions, ends)):
+    """Return which keep-out regions separate start and goal; empty if they do not.
+
+    Without any of these regions, the others do not separate them.
+    """
+    ends, barrier = (node_at(layers, *start), node_at(layers, *goal)), layers.limits.keep_out
+    if not (barrier and _divides(layers, barrier, ends)):
         return ""
-    alone = [region for region in regions if _divides(layers, (region,), ends)]
-    if alone:
-        words = " and ".join(region.words for region in alone)
-        if len(alone) > 1:
-            return (
-                f"each of the keep-out regions {words} separates them; make these regions smaller "
-                "or move them"
-            )
-        return (
-            f"the keep-out {words} lies between them, and no route leads around it; make "
-            "it smaller or move it"
-        )
-    needed = [
-        region
-        for region in regions
-        if not _divides(layers, tuple(other for other in regions if other is not region), ends)
-    ]
-    words = ", ".join(region.words for region in needed or regions)
-    return f"several keep-out regions together separate them: {words}; make one smaller or move it"
+    for region in barrier:
+        rest = tuple(other for other in barrier if other is not region)
+        barrier = rest if rest and _divides(layers, rest, ends) else barrier
+    words = " and ".join(region.words for region in barrier)
+    verb = "separates" if len(barrier) == 1 else "together separate"
+    return f"the keep-out {words} {verb} them: make one smaller or move it"
 
 
 def _divides(layers: Traversability, regions: tuple[Region, ...], ends: Ends) -> bool:

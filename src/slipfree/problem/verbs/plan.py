@@ -35,7 +35,7 @@ from slipfree.models.kinematics import direct_kinematics, quasi_statics
 from slipfree.plan.constraints import COST, DURATION, missed_words
 from slipfree.plan.guess import settled_start
 from slipfree.plan.ipopt import (
-    SIMULATED_STATUS,
+    NOT_LEAST,
     SOLVED_STATUS,
     STOPPED_STATUS,
     TIME_STATUS,
@@ -73,10 +73,6 @@ DIFFERENCE, VIOLATION, PLAN_COST = "plan_difference_", "plan_violation_", "plan_
 ROUNDING = 1e-6  # smaller violations count as rounding, in the unit of the limit
 SLIDING = 0.95  # wheels with a larger utilisation count as sliding
 UNUSABLE = Outcome.INACCURATE, Outcome.LIMIT  # outcomes of solved plans that cannot be driven
-NOT_LEAST = {  # by the status of a stage of plans whose cost may not be minimal
-    TIME_STATUS: "the search ended early",
-    SIMULATED_STATUS: "on no mesh did a plan agree with its simulation: this plan is a simulation",
-}
 ROWS = rows(
     """\
 *iterate: {iterate}
@@ -787,11 +783,9 @@ def _by_stiffness(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
     stiff, slip = replace(setup.vehicle, wheels=wheels), model_law(setup.problem)
     model: Dae = direct_kinematics(stiff, setup.terrain, slip=slip)
     options = setup.spec.solver.options
-
-    def build() -> tuple[Dae, Trajectory]:
-        return model, settled_start(model, setup.start, options)
-
-    return _simulated("stiff", setup, plan, build, options)
+    return _simulated(
+        "stiff", setup, plan, lambda: (model, settled_start(model, setup.start, options)), options
+    )
 
 
 def _in_soil(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
