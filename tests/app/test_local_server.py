@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from helpers.commands import refuses
-from slipfree.cli.show import open_page
+from slipfree.cli.outputs import open_page
 from slipfree.core.errors import DataError
 from slipfree.show.local_server import ConflictError, Gate, json_content, start_server
 

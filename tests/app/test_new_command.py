@@ -1,42 +1,35 @@
-"""Add a command: one file and one line of registration.
+"""Add a command: one file, ``cli/count.py``, whose public functions are commands.
 
-The function `count` is the file ``cli/count.py`` (4 lines without docstring and imports), and
-``count`` the line of ``COMMANDS`` in ``cli/__init__.py``: two files. ``--quiet``, ``--json``, help
-and exit codes come with it.
+Its text is in ``docs/howto/extend.md`` (4 lines without docstring and imports). ``--quiet``,
+``--json``, help and exit codes come with it.
 """
 
 import json
 from pathlib import Path
-from typing import Annotated
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
+from helpers.cases import extension
 from slipfree import cli
-from slipfree.cli.console import print_facts, reported, with_output_options
-
-
-def count(file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")]) -> None:
-    """Print the number of samples of a result."""
-    with reported():
-        from slipfree.files.netcdf import read
-
-        print_facts([("samples", str(read(file).t.size))])
+from slipfree.cli.console import store_options, with_output_options
 
 
 @pytest.fixture
-def app() -> typer.Typer:
-    """Return the command line as it is with one more line."""
-    cli.console.store_options(quiet=False, verbose=False, json=False)  # of another test
+def app(folder: Path, monkeypatch: pytest.MonkeyPatch) -> typer.Typer:
+    """Return the command line as it is with one more file in its package."""
+    (folder / "count.py").write_text(extension("count"))
+    monkeypatch.setattr(cli, "__path__", [*cli.__path__, str(folder)])
+    store_options(quiet=False, verbose=False, json=False)  # of another test
     made = typer.Typer(cls=cli.app.info.cls)
-    for command in (*cli.COMMANDS, count):
+    for command in cli.commands():
         made.command()(with_output_options(command))
     return made
 
 
-@pytest.mark.usefixtures("folder")
 def test_it_behaves_as_the_others_do(app):
+    assert len(app.registered_commands) == len(cli.app.registered_commands) + 1
     runner = CliRunner()
     runner.invoke(app, ["new", "direct", "p"])
     runner.invoke(app, ["run", "p.toml", "--no-draw", "--set", "time.duration=1"])

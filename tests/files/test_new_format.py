@@ -1,8 +1,7 @@
-"""Add a file format of maps: one function and one line of registration.
+"""Add a file format of maps: one file, ``files/maps/json_map.py``.
 
-The function `read_json` below belongs in a new file ``files/maps/json_map.py``, and the
-``MapReader`` of the test is a line of ``READERS`` in ``files/maps/elevation.py``: two files are
-touched. Problem files, commands and error messages then take the format as they take the others.
+Its text is in ``docs/howto/extend.md`` (5 lines without docstring and imports). Problem files,
+commands and error messages then take the format as they take the others.
 """
 
 import json
@@ -10,26 +9,19 @@ import json
 import numpy as np
 import pytest
 
-from helpers.cases import PROBLEMS
+from helpers.cases import PROBLEMS, extension
 from helpers.commands import printed, refuses, sets
 from slipfree.core.errors import DataError
-from slipfree.files.maps import elevation
-from slipfree.files.maps.elevation import READERS, MapReader, read_map
-from slipfree.terrain.grid_ops import Heights, axes_of, parts
+from slipfree.files import maps
+from slipfree.files.maps.elevation import read_map
 
 PROBLEM = PROBLEMS / "paper_direct.toml"
 
 
-def read_json(path, ask):
-    """Return the map in a JSON file with the arrays x, y and z."""
-    x, y, z = (np.array(json.loads(path.read_text())[name], dtype=float) for name in "xyz")
-    i, j = parts(*axes_of(x, y), ask.window)
-    return Heights(x[i], y[j], z[i, j], (("ground map", "JSON"),))
-
-
 @pytest.fixture
 def file(tmp_path, monkeypatch):
-    monkeypatch.setattr(elevation, "READERS", (*READERS, MapReader((".json",), read_json)))
+    (tmp_path / "json_map.py").write_text(extension("read_json"))
+    monkeypatch.setattr(maps, "__path__", [*maps.__path__, str(tmp_path)])
     x = np.linspace(-5, 5, 21)
     z = 0.1 * np.sin(x)[:, None] * np.cos(x)
     path = tmp_path / "map.json"

@@ -1,6 +1,7 @@
 """Grounds, vehicles and motions shared by several tests."""
 
 import json
+import re
 from functools import lru_cache
 from pathlib import Path
 
@@ -18,6 +19,13 @@ BOUNDED_RATES = dict.fromkeys(("right_rate", "left_rate", "steer_rate"), (-2.0, 
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 # What was compiled of a model serves every motion of it.
 closure_model = lru_cache(maxsize=8)(direct_kinematics)
+
+
+def extension(name: str) -> str:
+    """Return the code of ``docs/howto/extend.md`` that defines a function."""
+    blocks = re.findall(r"(?s)```python\n(.*?)```", (ROOT / "docs/howto/extend.md").read_text())
+    (text,) = (text for text in blocks if f"def {name}(" in text)
+    return text
 
 
 def box(x_min: float, x_max: float, y_min: float, y_max: float) -> Region:

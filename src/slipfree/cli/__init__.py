@@ -2,13 +2,17 @@
 
 Exit codes: 0 done; 1 not complete or failed; 2 bad input, or a package that is not installed; 130
 interrupted. Every command has the options ``--quiet``, ``--verbose`` and ``--json``
-(`cli.console`). Commands import their modules when they run, so that ``slipfree --help`` is fast.
+(`cli.console`). Public functions of the other modules are commands. They import their modules when
+they run, so that ``slipfree --help`` is fast.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
+from inspect import isfunction
+from pkgutil import iter_modules
 from typing import Annotated, Any
 
 import typer
@@ -16,14 +20,7 @@ from typer.core import TyperGroup
 
 import slipfree
 from slipfree.cli import console
-from slipfree.cli.atlas import atlas
 from slipfree.cli.console import BAD_INPUT, DONE, INTERRUPTED, Json, Quiet, Verbose
-from slipfree.cli.fit import fit, wheel
-from slipfree.cli.inspect import check, export, ground, info, vehicle
-from slipfree.cli.new import examples, new
-from slipfree.cli.run import run
-from slipfree.cli.show import edit, report, show
-from slipfree.cli.studies import compare, pareto, sweep, track
 from slipfree.system.interrupt import interrupt_arrived
 
 # class of click, or of the copy of click in typer
@@ -70,11 +67,21 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-COMMANDS = (
-    *(new, examples, run, check, ground, vehicle, compare, info, show, edit, report, export),
-    *(sweep, pareto, track, fit, wheel, atlas),
-)
-for command in COMMANDS:
+FIRST = ("new", "run", "inspect", "show")  # modules whose commands the help lists first
+NO_COMMANDS = ("console", "outputs")  # modules of functions that several commands use
+
+
+def commands() -> Iterator[Callable[..., None]]:
+    """Yield the commands: the public functions of the modules of this package."""
+    names = dict.fromkeys([*FIRST, *(each.name for each in iter_modules(__path__))])
+    for name in (name for name in names if name not in NO_COMMANDS):
+        module = import_module(f"{__name__}.{name}")
+        for word, value in vars(module).items():
+            if isfunction(value) and value.__module__ == module.__name__ and word[0] != "_":
+                yield value
+
+
+for command in commands():
     app.command()(console.with_output_options(command))
 
 

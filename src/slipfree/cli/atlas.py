@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,22 +14,10 @@ from slipfree.cli.console import Draw, Processes, Scheduler, Settings, Trust, ou
 from slipfree.core.errors import DataError
 
 if TYPE_CHECKING:
-    from slipfree.core.facts import Lines
-    from slipfree.problem.build_ground import GroundMap
-    from slipfree.problem.problem import Problem
-    from slipfree.terrain.base import Grid
+    pass
 
 UNBOUNDED = "1e99"  # bound that no quantity reaches
-ANY_VEHICLE = "three_wheeler"  # of a problem of which only the map is read
 ENDINGS = (".tif", ".tiff", ".nc")
-ARGUMENTS = {  # of the command, by the settings that they stand for
-    "--set terrain.file": "MAP",
-    "--set vehicle.file": "VEHICLE",
-    "--set vehicle.catalog": "VEHICLE",
-    "--set terrain.friction": "--friction",
-    "--set atlas.within.": "--within ",
-    **{f"--set atlas.{name}": f"--{name}" for name in ("headings", "every", "error", "guarantee")},
-}
 
 
 def atlas(
@@ -102,9 +88,9 @@ def atlas(
         ends = _toml(low, f"-{UNBOUNDED}"), _toml(high, UNBOUNDED)
         own.append(f"atlas.within.{name}=[{', '.join(ends)}]")
     own += settings or []
-    with as_arguments():
+    with console.as_arguments():
         if vehicle is not None:
-            problem = problem_of_map(file, vehicle, own, trust)
+            problem = console.problem_of_map(file, vehicle, own, trust)
         elif file.suffix.lower() == ".toml":
             problem = console.read_problem(file, own, trust, "atlas")
         else:
@@ -119,7 +105,7 @@ def atlas(
     figures = outs[0].parent / f"{outs[0].stem}_figures"
     inputs = files_read(problem)
     outputs.check_outputs(outs, inputs, endings=ENDINGS, folder=figures if draw else None)
-    with as_arguments():
+    with console.as_arguments():
         setup = verb.build_atlas(problem)
     console.print_facts(setup.facts, main=[setup.facts[0], setup.facts[-1]])
     for words in setup.warnings:
@@ -149,79 +135,3 @@ def _toml(text: str, default: str = "") -> str:
         return repr(float(text))
     except ValueError:
         return json.dumps(text) if text.strip() else default
-
-
-def problem_of_map(
-    file: Path, vehicle: str, settings: Sequence[str], trust: list[Path] | None
-) -> Problem[Any]:
-    """Return the problem of the mobility map of a vehicle, a file or name of the catalogue."""
-    from slipfree.files.urdf.xacro import trusted_paths
-    from slipfree.problem.load import load_again
-    from slipfree.problem.schema import CATALOG
-
-    if file.suffix.lower() == ".toml":
-        raise DataError(
-            f"{file}: expected a map before the vehicle {vehicle!r}, found a TOML file; omit "
-            "VEHICLE for a problem file"
-        )
-    is_known = vehicle in CATALOG and not Path(vehicle).exists()
-    if not is_known and not Path(vehicle).suffix:
-        raise DataError(
-            f"VEHICLE: expected a vehicle file, or one of {', '.join(CATALOG)}, found {vehicle!r}; "
-            "correct the name"
-        )
-    key = "catalog" if is_known else "file"
-    own = ["verb=atlas", f"terrain.file={json.dumps(str(file))}"]
-    own.append(f"vehicle.{key}={json.dumps(vehicle)}")
-    # names of files are relative to the current folder
-    head = Path("atlas"), "", [*own, *settings], trusted_paths(trust or [])
-    return load_again(*head, command="atlas")
-
-
-def ground_of(
-    file: Path, vehicle: str | None, settings: Sequence[str], trust: list[Path] | None
-) -> tuple[Problem[Any], GroundMap]:
-    """Return a problem with the map, and its ground; maps in degrees are converted."""
-    from slipfree.files.maps.elevation import DegreesError
-    from slipfree.files.toml import ProblemError
-    from slipfree.problem.build_ground import build_ground
-
-    if file.suffix.lower() == ".toml" and vehicle is None:
-        problem = console.read_problem(file, [*settings], trust, "vehicle")
-        return problem, build_ground(problem)
-    settings = ["frame=rep103", *settings]
-    problem = problem_of_map(file, vehicle or ANY_VEHICLE, settings, trust)
-    try:
-        return problem, build_ground(problem)
-    except ProblemError as error:
-        if not isinstance(error.__cause__, DegreesError):
-            raise
-    key = "terrain.geographic=local"
-    console.print_line(f"the map is in degrees; it is converted to metres by --set {key}")
-    problem = problem_of_map(file, vehicle or ANY_VEHICLE, [key, *settings], trust)
-    return problem, build_ground(problem)
-
-
-def start_on(problem: Problem[Any], grid: Grid) -> tuple[Mapping[str, float], Lines]:
-    """Return a start at which a vehicle stands, see `stand`, and show the progress."""
-    from slipfree.problem.ground_survey import stand
-
-    with as_arguments(), console.counted("poses tried for a start") as progress:
-        return stand(problem, grid, progress)
-
-
-@contextmanager
-def as_arguments() -> Iterator[None]:
-    """Name the options and arguments of this command in messages, not their settings."""
-    from slipfree.files.toml import ProblemError
-
-    try:
-        yield
-    except ProblemError as error:
-        faults = []
-        for fault in error.faults:
-            for setting, option in ARGUMENTS.items():
-                if fault.startswith(setting):
-                    fault = option + fault.removeprefix(setting)
-            faults.append(fault)
-        raise ProblemError(*faults) from error

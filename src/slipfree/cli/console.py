@@ -42,8 +42,11 @@ from slipfree.system import interrupt
 from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
+    from slipfree.core.facts import Lines
+    from slipfree.problem.build_ground import GroundMap
     from slipfree.problem.problem import Problem
     from slipfree.system.parts import Parts, PartsWatch
+    from slipfree.terrain.base import Grid
 
 DONE, STOPPED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MEANINGS = {
@@ -51,6 +54,16 @@ MEANINGS = {
     STOPPED: "not complete or failed; 'files' lists the saved files, if any",
     BAD_INPUT: "bad input, or a package that is not installed",
     INTERRUPTED: "interrupted",
+}
+
+ANY_VEHICLE = "three_wheeler"  # of a problem of which only the map is read
+ARGUMENTS = {  # of `slipfree atlas`, by the settings that they stand for
+    "--set terrain.file": "MAP",
+    "--set vehicle.file": "VEHICLE",
+    "--set vehicle.catalog": "VEHICLE",
+    "--set terrain.friction": "--friction",
+    "--set atlas.within.": "--within ",
+    **{f"--set atlas.{name}": f"--{name}" for name in ("headings", "every", "error", "guarantee")},
 }
 
 # C0 without tab and newline, delete, C1, separators, text directions, surrogates
@@ -513,6 +526,76 @@ def read_problem(
     problem = load_problem(file, settings or [], command=command, trust=trust or [])
     detail(f"read {file}")
     return problem
+
+
+def problem_of_map(
+    file: Path, vehicle: str, settings: Sequence[str], trust: list[Path] | None
+) -> Problem[Any]:
+    """Return the problem of the mobility map of a vehicle, a file or name of the catalogue."""
+    from slipfree.files.urdf.xacro import trusted_paths
+    from slipfree.problem.load import load_again
+    from slipfree.problem.schema import CATALOG
+
+    if file.suffix.lower() == ".toml":
+        raise DataError(
+            f"{file}: expected a map before the vehicle {vehicle!r}, found a TOML file; omit "
+            "VEHICLE for a problem file"
+        )
+    is_known = vehicle in CATALOG and not Path(vehicle).exists()
+    if not is_known and not Path(vehicle).suffix:
+        raise DataError(
+            f"VEHICLE: expected a vehicle file, or one of {', '.join(CATALOG)}, found {vehicle!r}; "
+            "correct the name"
+        )
+    key = "catalog" if is_known else "file"
+    own = ["verb=atlas", f"terrain.file={to_json.dumps(str(file))}"]
+    own.append(f"vehicle.{key}={to_json.dumps(vehicle)}")
+    # names of files are relative to the current folder
+    head = Path("atlas"), "", [*own, *settings], trusted_paths(trust or [])
+    return load_again(*head, command="atlas")
+
+
+def ground_of(
+    file: Path, vehicle: str | None, settings: Sequence[str], trust: list[Path] | None
+) -> tuple[Problem[Any], GroundMap]:
+    """Return a problem with the map, and its ground; maps in degrees are converted."""
+    from slipfree.files.maps.elevation import DegreesError
+    from slipfree.files.toml import ProblemError
+    from slipfree.problem.build_ground import build_ground
+
+    if file.suffix.lower() == ".toml" and vehicle is None:
+        problem = read_problem(file, [*settings], trust, "vehicle")
+        return problem, build_ground(problem)
+    problem = problem_of_map(file, vehicle or ANY_VEHICLE, ["frame=rep103", *settings], trust)
+    try:
+        return problem, build_ground(problem)
+    except ProblemError as error:
+        if not isinstance(error.__cause__, DegreesError):
+            raise
+    key = "terrain.geographic=local"
+    print_line(f"the map is in degrees; it is converted to metres by --set {key}")
+    return ground_of(file, vehicle, [key, *settings], trust)
+
+
+def start_on(problem: Problem[Any], grid: Grid) -> tuple[Mapping[str, float], Lines]:
+    """Return a start at which a vehicle stands, see `stand`, and show the progress."""
+    from slipfree.problem.ground_survey import stand
+
+    with as_arguments(), counted("poses tried for a start") as progress:
+        return stand(problem, grid, progress)
+
+
+@contextmanager
+def as_arguments() -> Iterator[None]:
+    """Name the options and arguments of `slipfree atlas` in messages, not their settings."""
+    from slipfree.files.toml import ProblemError
+
+    try:
+        yield
+    except ProblemError as error:
+        settings = re.compile(f"^({'|'.join(map(re.escape, ARGUMENTS))})")
+        faults = (settings.sub(lambda found: ARGUMENTS[found[0]], each) for each in error.faults)
+        raise ProblemError(*faults) from error
 
 
 def refuse_result(file: Path) -> None:

@@ -11,8 +11,7 @@ import typer
 
 from slipfree.cli import console
 from slipfree.cli.console import INTERRUPTED, STOPPED, Draw, Force, Settings, Trust, output_option
-from slipfree.cli.new import write_new_file
-from slipfree.cli.outputs import check_outputs, default_table, save
+from slipfree.cli.outputs import check_outputs, default_table, save, write_new_file
 from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import ModelError
 from slipfree.system.interrupt import held_interrupt, interrupt_requested

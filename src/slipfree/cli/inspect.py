@@ -11,9 +11,7 @@ from typing import Annotated
 import typer
 
 from slipfree.cli import console, outputs
-from slipfree.cli.atlas import as_arguments, ground_of, start_on
 from slipfree.cli.console import BAD_INPUT, Draw, File, Force, ResultFile, Settings, Trust
-from slipfree.cli.new import write_new_file
 from slipfree.core.errors import DataError
 from slipfree.core.facts import TableColumn, table
 
@@ -64,8 +62,8 @@ def ground(
     from slipfree.problem.ground_survey import survey, survey_lines
     from slipfree.problem.inputs import files_read
 
-    with as_arguments():
-        problem, ground = ground_of(file, vehicle, settings or [], trust)
+    with console.as_arguments():
+        problem, ground = console.ground_of(file, vehicle, settings or [], trust)
     with console.about(file):
         facts = survey(ground)
     console.add_json("ground", lambda: {name: fact._asdict() for name, fact in facts.items()})
@@ -73,7 +71,7 @@ def ground(
     pose: Mapping[str, float] = {}
     try:
         if vehicle is not None or file.suffix.lower() == ".toml":
-            pose, standing = start_on(problem, ground.grid)
+            pose, standing = console.start_on(problem, ground.grid)
             lines += standing
             console.add_json("start", lambda: pose)
     finally:  # also if the vehicle has errors
@@ -116,7 +114,7 @@ def vehicle(
     outputs.check_outputs([picture], [file, *files_named_in(file)], endings=outputs.PICTURES)
     if write is not None:
         outputs.check_outputs([write], [file, *files_named_in(file)])
-        write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
+        outputs.write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
         console.print_line(f"wrote {write}\n")
     description = describe(file, settings or [], trust or [])
     console.print_line("\n".join([*description.tree[: None if description.faults else 1], ""]))

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tomlkit
 import typer
 
-from slipfree.cli.atlas import as_arguments, ground_of, start_on
-from slipfree.cli.console import Force, Settings, Trust, add_json, add_json_file, print_line
-from slipfree.cli.outputs import check_outputs
+from slipfree.cli import console
+from slipfree.cli.console import Force, Settings, Trust, add_json, print_line
+from slipfree.cli.outputs import check_new, write_new_file
 from slipfree.core.errors import DataError, similar
-from slipfree.system.regular_files import check_name, make_folder, replace_file
+from slipfree.system.regular_files import check_name, make_folder
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -75,7 +75,7 @@ def new(
             "another name"
         )
     out = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
-    _check_new(out, force)
+    check_new(out, force)
     word = shlex.quote(str(out))
     text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
     text = text.replace(f" {HOLE}", f" {word}")
@@ -98,9 +98,9 @@ def new(
                     f"--set: expected a key of {' or '.join(f'[{name}]' for name in OWN)}, found "
                     f"{each!r}; change other keys in the written file"
                 )
-        with as_arguments():
-            problem, surface = ground_of(ground, vehicle, settings or [], trust)
-        pose, ((_, words), *_) = start_on(problem, surface.grid)
+        with console.as_arguments():
+            problem, surface = console.ground_of(ground, vehicle, settings or [], trust)
+        pose, ((_, words), *_) = console.start_on(problem, surface.grid)
         if not pose:
             raise DataError(
                 f"{ground}: expected a place where the vehicle stands, found that it stands "
@@ -150,22 +150,6 @@ def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, dict[st
     line = f"title = {json.dumps(title, ensure_ascii=False)}"
     head = re.sub(r"(?m)^title = .*", lambda _: line, head)
     return re.sub(r" (A three-wheeler|All others) .*", "", head + own + "".join(kept))
-
-
-def write_new_file(text: str, out: Path, force: bool) -> None:
-    """Write a new file; raise DataError if it exists without ``force``, or cannot be written."""
-    _check_new(out, force)
-    replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))
-    add_json_file(out)
-
-
-def _check_new(out: Path, force: bool) -> None:
-    """Raise DataError if a file exists without ``force``, or cannot be written."""
-    check_outputs([out])
-    if out.exists() and not force:
-        raise DataError(
-            f"{out}: expected a new file, found an existing one; replace it with --force"
-        )
 
 
 def examples(

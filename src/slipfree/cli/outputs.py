@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import shlex
+import sys
 import tempfile
+import webbrowser
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +17,13 @@ import typer
 from slipfree.cli import console
 from slipfree.core.errors import DataError, WriteError
 from slipfree.system.interrupt import held_interrupt
-from slipfree.system.regular_files import check_ending, check_name, check_target, resolve_links
+from slipfree.system.regular_files import (
+    check_ending,
+    check_name,
+    check_target,
+    replace_file,
+    resolve_links,
+)
 
 if TYPE_CHECKING:
     from slipfree.core.facts import Facts
@@ -266,3 +275,37 @@ def save(path: Path, write: Callable[[Path], object]) -> Path:
             raise
         raise KeyboardInterrupt(f"{path} is not written: {before}") from None
     return path
+
+
+def write_new_file(text: str, out: Path, force: bool) -> None:
+    """Write a new file; raise DataError if it exists without ``force``, or cannot be written."""
+    check_new(out, force)
+    replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))
+    console.add_json_file(out)
+
+
+def check_new(out: Path, force: bool) -> None:
+    """Raise DataError if a file exists without ``force``, or cannot be written."""
+    check_outputs([out])
+    if out.exists() and not force:
+        raise DataError(
+            f"{out}: expected a new file, found an existing one; replace it with --force"
+        )
+
+
+def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:
+    """Print the address of the page, and open it if ``browser`` is set and a display exists.
+
+    The browser gets the name of a private file that redirects to the address, since other users of
+    the machine can read the arguments of its process.
+    """
+    console.print_line(f"{url} {does}; Ctrl-C ends the server", err=True)
+    seen = sys.platform in ("darwin", "win32") or any(
+        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
+    )
+    if browser and seen:
+        descriptor, name = tempfile.mkstemp(".html", "slipfree-")  # readable by its owner only
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(f'<meta http-equiv="refresh" content="0; url={url}">')
+        atexit.register(Path(name).unlink, missing_ok=True)
+        webbrowser.open(Path(name).as_uri())

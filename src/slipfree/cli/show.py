@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import atexit
-import os
-import sys
-import tempfile
 import threading
-import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,7 +10,7 @@ import typer
 
 from slipfree.cli import console
 from slipfree.cli.console import ResultFile, Trust, output_option
-from slipfree.cli.outputs import PAGES, PICTURES, Picture, check_outputs, save_picture
+from slipfree.cli.outputs import PAGES, PICTURES, Picture, check_outputs, open_page, save_picture
 from slipfree.core.errors import DataError, require
 from slipfree.system.interrupt import interrupt_arrived
 from slipfree.system.regular_files import escape_name, regular_file, replace_file
@@ -126,24 +121,6 @@ def _write_page(file: Path, text: str, more: str = "") -> None:
     # file names in the text may have invalid characters
     replace_file(file, lambda part: part.write_text(text, "utf-8", "backslashreplace"))
     console.print_written(file, more)
-
-
-def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:
-    """Print the address of the page, and open it if ``browser`` is set and a display exists.
-
-    The browser gets the name of a private file that redirects to the address, since other users of
-    the machine can read the arguments of its process.
-    """
-    console.print_line(f"{url} {does}; Ctrl-C ends the server", err=True)
-    seen = sys.platform in ("darwin", "win32") or any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
-    )
-    if browser and seen:
-        descriptor, name = tempfile.mkstemp(".html", "slipfree-")  # readable by its owner only
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(f'<meta http-equiv="refresh" content="0; url={url}">')
-        atexit.register(Path(name).unlink, missing_ok=True)
-        webbrowser.open(Path(name).as_uri())
 
 
 def report(file: ResultFile, out: Annotated[Path | None, output_option("OUT.html")] = None) -> None:

@@ -11,8 +11,10 @@ import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
@@ -20,6 +22,7 @@ import numpy as np
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError, missing_package
 from slipfree.core.records import Array, Indices, Mask
+from slipfree.files import maps
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.maps import raster
 from slipfree.files.maps.reference_systems import (
@@ -657,13 +660,19 @@ def takes_key(ending: str, key: str) -> bool:
     return key not in KEYS or key in _reader(ending).keys
 
 
+def readers() -> Iterator[MapReader]:
+    """Yield the readers of map files: those in ``READERS`` of the modules of this package."""
+    for each in iter_modules(maps.__path__):
+        yield from getattr(import_module(f"{maps.__name__}.{each.name}"), "READERS", ())
+
+
 def _reader(ending: str) -> MapReader:
-    return next((each for each in READERS if ending in each.endings), RASTERS)
+    return next((each for each in readers() if ending in each.endings), RASTERS)
 
 
 def _endings(key: str = "") -> tuple[str, ...]:
     """Return the endings of files that are read, or of those to which a key applies."""
-    return tuple(e for reader in READERS if not key or key in reader.keys for e in reader.endings)
+    return tuple(e for reader in readers() if not key or key in reader.keys for e in reader.endings)
 
 
 def _expected_endings() -> str:
