@@ -13,11 +13,8 @@ from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.problem.build_ground import convert_places
 from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.schema import CommonKeys, Runnable
-from slipfree.problem.verbs.atlas import AtlasKeys
 from slipfree.problem.verbs.base import DriveVerb, Verb
-from slipfree.problem.verbs.compare import Compare
 from slipfree.problem.verbs.direct import DirectVerb
-from slipfree.problem.verbs.fit import Fit
 from slipfree.problem.verbs.inverse import InverseVerb
 from slipfree.problem.verbs.plan import PlanVerb
 
@@ -25,9 +22,9 @@ VERBS: tuple[Verb, ...] = (
     DirectVerb(),
     InverseVerb(),
     PlanVerb(),
-    Verb(Compare, "compare"),
-    Verb(Fit, "fit"),
-    Verb(AtlasKeys, "atlas", "check"),
+    Verb("slipfree.problem.verbs.compare", "Compare", "compare"),
+    Verb("slipfree.problem.verbs.fit", "Fit", "fit"),
+    Verb("slipfree.problem.verbs.atlas", "AtlasKeys", "atlas", "check"),
 )
 REMOVED_VERBS = {"fit-over-map": "use 'fit', the map as [terrain], data.inputs = 'commands'"}
 
