@@ -171,7 +171,9 @@ def test_what_is_solved_violates_nothing_and_gives_nothing_up():
     told = explanation(program, stuck, first).words
     words = "the search reached its maximum number of iterations (IPOPT: Maximum_Iterations"
     assert told.startswith(words)
-    assert "no bound has to be relaxed" in told
+    assert re.search("no bound has to be relaxed.*; plan.starts = 4 tries other initial", told)
+    late = explanation(program, stuck._replace(status=TIME_STATUS), first).words
+    assert late.endswith("was found; raise plan.seconds")
 
 
 def test_intervals_on_which_a_plan_exceeds_a_limit_between_its_points_are_known():
@@ -220,7 +222,6 @@ def test_equations_without_a_solution_and_stopped_searches_are_said_to_be_so():
     told = explanation(*attempted(asked, on_iterate=lambda _: False)).words
     assert told.startswith("the search was stopped (IPOPT: User_Requested_Stop")
     assert "x0 at the goal is" in told
-    assert "suffices" not in told
 
 
 def test_conflicts_are_named_before_solving():
@@ -415,9 +416,8 @@ def test_prices_are_the_derivatives_of_the_least_cost(model):
     (price,) = (each for each in found.prices if each.label.name == "steer")
     share = 100 * abs(price.rate) * 0.001 / found.solution.cost
     side, change = ("-0.12", "less") if price.side == "at least" else ("0.12", "more")
-    words = f"vehicle {price.side} {side} rad: 0.001 rad {change} saves {share:.2g} % of the cost"
-    words = f"steer of the {words}"
-    assert price.words == words
+    words = f"{price.side} {side} rad: 0.001 rad {change} saves {share:.2g} % of the cost"
+    assert price.words == f"steer of the vehicle {words}"
     assert words in prices_words(price_rows(found.prices))
     assert prices_words(()) == "no limit increases the cost noticeably"
 
@@ -476,7 +476,7 @@ def test_a_car_parks_with_its_steering_at_the_stops():
     discs = [along((x - 1.5) ** 2 + (y - 2.2 * k) ** 2, 1.96, np.inf, f"d{k}") for k in (1, -1)]
     given = {"costs": {"slip": 1e3, "effort": 0.01}, "limits": discs}
     found = plan(dae, settle(dae), goal={"x": 1.5, "y": 0.0, "heading": 0.0}, **given)
-    assert found.accurate
+    assert (found.accurate, len(found.stages)) == (True, 3)  # on one finer mesh
     assert 0.69 < np.abs(found.replay["steer"]).max() < 0.7
 
 

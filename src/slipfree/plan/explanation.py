@@ -25,7 +25,13 @@ from slipfree.plan.constraints import (
     subject,
     worst_violations,
 )
-from slipfree.plan.ipopt import INFEASIBLE_STATUS, STOPPED_STATUS, NlpSolution, solve_program
+from slipfree.plan.ipopt import (
+    INFEASIBLE_STATUS,
+    STOPPED_STATUS,
+    TIME_STATUS,
+    NlpSolution,
+    solve_program,
+)
 from slipfree.plan.transcription import Program, completed
 
 MAX_RELAXATION_ITERATIONS = 200  # of each of the two searches for a relaxation
@@ -265,10 +271,12 @@ def explanation(
     if solution.status == STOPPED_STATUS:  # no further search after an interruption
         return Explanation(Outcome.INTERRUPTED, "\n".join(lines))
     relaxation = relax(program, first) if relaxation is None else relaxation
+    is_late = TIME_STATUS in (solution.status, relaxation.status)
+    advice = "raise plan.seconds" if is_late else "plan.starts = 4 tries other initial guesses"
     if not relaxation.success:
         lines.append(
             "no motion was found, although all bounds except those of the start and the duration "
-            f"could be relaxed: {ipopt_words(relaxation.status)}; try another initial guess"
+            f"could be relaxed: {ipopt_words(relaxation.status)}; {advice}"
         )
     elif relaxation.relaxed:
         lines.append(
@@ -277,7 +285,7 @@ def explanation(
     else:
         lines.append(
             "no bound has to be relaxed: without the costs, a motion that meets all constraints "
-            "was found; try another initial guess"
+            f"was found; {advice}"
         )
     for each in relaxation.relaxed if relaxation.success else ():
         given, needed = (number(each.label, value) for value in (each.bound, each.value))
