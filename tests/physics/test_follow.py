@@ -11,13 +11,15 @@ import slipfree as sf
 from helpers.cases import closure_model, hills
 from helpers.commands import refuses
 from helpers.vehicles import all_steered, skid_steered
-from slipfree.catalog import ackermann, skid_steer, three_wheeler
+from slipfree.catalog import ackermann, rocky7, skid_steer, three_wheeler
 from slipfree.control import path_following as laws
 from slipfree.geometry.path import cubic_spline
 from slipfree.terrain.synthetic import blank, power_law
 
 WAY = np.array([(0, 0), (25, 3), (50, 0), (75, -3), (100, 0)], dtype=float)
 FLAT = sf.Analytic(lambda x, _: 0 * x)
+# number of way-points, and place of the turning axis: a ball is a fixed wheel
+WITHOUT_STEERED_AXLE = [(skid_steered(), 2, -0.2), (all_steered(), 3, 0.0)]
 
 
 def largest_tilt(run):
@@ -98,10 +100,8 @@ def test_100_m_of_hills_and_the_same_without_the_tilt_term(monkeypatch):
     ground = power_law(ground, rms=0.15, hurst=0.9, longest=20.0, shortest=6.0, seed=4)
     vehicle, path = three_wheeler(), sf.Path(WAY)
     dae = closure_model(vehicle, sf.Bicubic(ground))
-    start, t = (
-        sf.settle(dae, heading=heading_at_start(path)),
-        np.linspace(0, path.length / 0.5, 401),
-    )
+    start = sf.settle(dae, heading=heading_at_start(path))
+    t = np.linspace(0, path.length / 0.5, 401)
     run = sf.simulate(dae, start, sf.follow(dae, path, speed=0.5), t)
     assert run.stop is None
     assert largest_tilt(run) <= 0.05
@@ -121,34 +121,24 @@ def test_an_error_at_the_start_decays():
     assert_allclose(run["y"][-1], 24, atol=1e-2)
 
 
-def test_differential_drive_follows_too():
-    vehicle, path = skid_steered(), sf.Path(WAY[:2])
-    dae = closure_model(vehicle, FLAT)
-    plan = laws.planar_geometry(vehicle, {})
-    assert plan.ahead == pytest.approx(-0.2)  # the ball is a fixed wheel: the axis lies between
-    start = sf.settle(dae, heading=heading_at_start(path, plan.ahead))
-    run = sf.simulate(dae, start, sf.follow(dae, path, speed=0.3), np.linspace(0, 60, 61))
-    assert cross_track(run, path).max() < 0.05
-
-
-def test_all_wheels_steered_turn_about_the_centre():
-    dae, path = closure_model(all_steered(), FLAT), sf.Path(WAY[:3])
-    start = sf.settle(dae, heading=heading_at_start(path, 0.0))
+@pytest.mark.parametrize(("vehicle", "count", "ahead"), WITHOUT_STEERED_AXLE)
+def test_vehicles_without_a_steered_axle_follow_too(vehicle, count, ahead):
+    dae, path = closure_model(vehicle, FLAT), sf.Path(WAY[:count])
+    assert laws.turning_axis_offset(vehicle) == pytest.approx(ahead)
+    start = sf.settle(dae, heading=heading_at_start(path, ahead))
     run = sf.simulate(dae, start, sf.follow(dae, path, speed=0.3), np.linspace(0, 60, 61))
     assert cross_track(run, path).max() < 0.05
     assert np.abs(run["slip_across"][10:]).max() < 1e-2
 
 
 def test_laws_name_what_they_need():
-    vehicle = three_wheeler()
-    dae = closure_model(vehicle, FLAT)
+    dae = closure_model(three_wheeler(), FLAT)
     for speed in (0.0, np.inf):
         with pytest.raises(sf.ModelError, match="speed: expected a finite"):
             sf.straight(dae, sf.settle(dae), speed=speed)
     trailer = skid_steered()
     wheels = tuple(replace(wheel, driven=False) for wheel in trailer.wheels)
-    trailer = replace(trailer, name="trailer", wheels=wheels)
-    dae = closure_model(trailer, FLAT)
+    dae = closure_model(replace(trailer, name="trailer", wheels=wheels), FLAT)
     words = "driven wheels on both sides, found neither in 'trailer'"
     refuses(sf.ModelError, words, sf.follow, dae, sf.Path(WAY), speed=1.0)
 
@@ -165,3 +155,15 @@ def test_commands_are_met_on_a_plane():
     for value in (0.0, -1.0, np.inf):
         with pytest.raises(sf.ModelError, match="speed: expected a"):
             sf.commanded(sf.direct_kinematics(vehicle, FLAT), speed=value)
+
+
+@pytest.mark.parametrize("vehicle", [rocky7(steered="corners"), skid_steer()])
+def test_a_vehicle_that_points_away_turns_to_its_path_and_drives_on_beyond_a_curved_end(vehicle):
+    """It is never faster than twice the speed, and its inputs do not jump with the curvature."""
+    path = sf.Path(np.array([(0.0, 0.0), (0.3, 2.0), (0.0, 4.0), (0.0, 8.0)]))
+    dae, reached = closure_model(vehicle, FLAT), path.at(np.array([10.0]))  # the end: at 8.1 m
+    start = sf.settle(dae, heading=np.radians(170))
+    run = sf.simulate(dae, start, sf.follow(dae, path, speed=0.4), np.linspace(0, 25, 251))
+    assert run.stop is None
+    assert np.hypot(run["velocity_x"], run["velocity_y"]).max() < 0.85
+    assert_allclose((run["x"][-1], run["y"][-1]), (reached.x[0], reached.y[0]), atol=0.02)

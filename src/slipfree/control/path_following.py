@@ -81,8 +81,10 @@ def straight(model: Dae, start: Trajectory, *, speed: Finite) -> Record:
 def follow(model: Dae, path: Path, *, speed: Finite) -> Record:
     """Return inputs that keep the platform's centre on a path.
 
-    A reference point moves along the path at the given speed, from its beginning at t = 0. The
-    heading, cross-track and along-track errors decay over a distance of the size of the vehicle.
+    A reference point moves along the path at the given speed, from its beginning at t = 0, and
+    straight on beyond its end. The heading, cross-track and along-track errors decay over a
+    distance of the size of the vehicle; farther from the path, the vehicle turns to it as sharply
+    as its steering allows, and catches up at no more than twice the speed.
     The wheel rates are those of planar motion with the current steering angles. On uneven ground
     these rates do not fit each other exactly, and passive tilt joints take up the difference; a
     correction lets the mean tilt decay. Without it, the tilt would drift until the wheels lie flat.
@@ -127,8 +129,8 @@ def follow(model: Dae, path: Path, *, speed: Finite) -> Record:
             "speed, or a negative one to drive backwards"
         )
     states, plan = _joints_and_geometry(model, "follow")
-    reference = path.symbolic(abs(speed) * model.t, (model.shift[0][0], model.shift[0][1]))
-    sign, base = np.sign(speed), plan.base
+    sign, base, origin = np.sign(speed), plan.base, (model.shift[0][0], model.shift[0][1])
+    reference = path.symbolic(abs(speed) * model.t, origin, fade=base)
     curvature = sign * reference.curvature
     direction = reference.heading + (0 if sign > 0 else np.pi)
     forward = (-ca.sin(direction), ca.cos(direction))
@@ -136,10 +138,12 @@ def follow(model: Dae, path: Path, *, speed: Finite) -> Record:
     along, left = d_x * forward[0] + d_y * forward[1], d_y * forward[0] - d_x * forward[1]
     # the centre lies ahead of the turning axis: its velocity points to the left of the heading
     turned = model.named("heading")[0] - direction + ca.atan(plan.ahead * curvature)
-    v = speed * ca.cos(turned) - abs(speed) / base * along
+    # far from the path the errors saturate, so that the law neither rushes nor leaves the path
+    behind, aside = (ca.fmax(ca.fmin(each / base, 1), -1) for each in (along, left))
+    v = speed * ca.fmax(ca.cos(turned), 0) - abs(speed) * behind
     # with left' = v sin(turned) and turned' = turning - v curvature, errors are critically damped
-    error = ca.sin(turned)  # smooth where the angle wraps around
-    turning = speed * curvature - (2 * abs(speed) * error + speed * left / base) / base
+    # near the path; the sine is smooth where the angle wraps around
+    turning = speed * curvature - (2 * abs(speed) * ca.sin(turned) + speed * aside) / base
     return _planar_inputs(model, states, plan, (v, turning, speed))
 
 
@@ -235,7 +239,8 @@ def _planar_inputs(
         turning /= len(slopes)
 
         def target(each: _PlanarWheel) -> ca.SX:
-            ahead = v + each.right * required
+            # the centre of the turn lies beside the wheels, not between them
+            ahead = v + ca.fmax(ca.fmin(each.right * required, ca.fabs(v) / 2), -ca.fabs(v) / 2)
             # sideways over forward velocity, regularised where the latter changes its sign
             slope = each.forward * required * ahead / (ahead**2 + (LOW_SPEED_RATIO * speed) ** 2)
             return MAX_STEER_ANGLE * ca.tanh(ca.atan(slope) / MAX_STEER_ANGLE)

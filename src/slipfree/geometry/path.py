@@ -100,13 +100,13 @@ class Path:
         PathPoint
             Map coordinates [m], headings from the y axis [rad], curvatures [1/m]; shapes (n,).
         """
-        symbol = ca.SX.sym("s")
+        symbol, s = ca.SX.sym("s"), np.array(s, dtype=float).reshape(1, -1)
         f = ca.Function("point", [symbol], list(self.symbolic(symbol)))
-        return PathPoint(
-            *(np.array(row).ravel() for row in f.map(np.size(s))(np.reshape(s, (1, -1))))
-        )
+        return PathPoint(*(row[0] for row in evaluate(f, s)))
 
-    def symbolic(self, s: ca.SX, origin: tuple[float, float] = (0.0, 0.0)) -> PathPoint:
+    def symbolic(
+        self, s: ca.SX, origin: tuple[float, float] = (0.0, 0.0), *, fade: float = 0.0
+    ) -> PathPoint:
         """Return the point at an arc length as an expression.
 
         Parameters
@@ -116,6 +116,10 @@ class Path:
         origin : tuple of 2 floats
             Map coordinates of the origin of ``x`` and ``y``; an origin near the path avoids loss
             of digits. [m]
+        fade : float
+            Distance beyond the ends over which the returned curvature decays to zero, as a law of
+            steering requires that must not jump; by default it is zero there, as is that of the
+            path. [m]
         """
         x_0, y_0 = self.points[0] - np.array(origin)
         if len(self.points) == 2:  # a straight line needs no table
@@ -127,7 +131,7 @@ class Path:
         inside = ca.fmin(ca.fmax(s, 0), self.length)
         x, y, heading, curvature = ca.vertsplit(self._spline(inside))
         beyond = s - inside
-        on_path = ca.if_else(ca.fabs(beyond) > 0, 0, curvature)
+        on_path = curvature * (ca.fmax(1 - ca.fabs(beyond) / fade, 0) if fade else beyond == 0)
         return PathPoint(
             x_0 + x - beyond * ca.sin(heading), y_0 + y + beyond * ca.cos(heading), heading, on_path
         )
