@@ -35,6 +35,12 @@ def test_slopes_and_hollows_of_a_bowl():
     assert (values["west"], values["north"]) == (-10.0, 10.0)
 
 
+def test_the_curvature_is_that_of_the_spline():
+    """Through heights that alternate by a it is 12 a / h^2 at every other node, more at edges."""
+    found = described(0.001 * (-1.0) ** np.arange(41)[:, None] + 0 * AXIS, "--no-draw")["ground"]
+    assert 0.5 * 0.5**2 / 0.012 < found["wheel_radius"]["value"] < 1.001 * 0.5**2 / 0.012
+
+
 def test_spikes_holes_and_rounded_heights_are_named():
     z = np.round(2.0 * np.sin(AXIS[:, None] / 3) * np.cos(AXIS / 4))
     z[20, 8], z[30, 30] = 9.0, np.nan

@@ -8,7 +8,7 @@ from math import degrees
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter, uniform_filter
+from scipy.ndimage import binary_dilation, correlate, maximum_filter, minimum_filter, uniform_filter
 
 from slipfree.atlas.atlas import Atlas, Band
 from slipfree.core.errors import ModelError
@@ -19,6 +19,7 @@ from slipfree.problem.build_ground import GroundMap
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasKeys, AtlasTable, build_atlas
 from slipfree.terrain.base import Grid
+from slipfree.terrain.bicubic import basis, coefficients_of
 
 STEEP = 20.0, 30.0  # slopes that are counted [deg]
 SPIKE = 3.0  # height of spikes above all neighbours, in differences between these [1]
@@ -55,10 +56,14 @@ def survey(ground: GroundMap) -> dict[str, Fact]:
     """
     grid = ground.grid
     known = _known(grid)
-    slope = np.degrees(np.arctan(np.hypot(*np.gradient(grid.z, *grid.spacing))))[known]
-    along_x, along_y = np.gradient(grid.z, *grid.spacing)
-    xx, xy = np.gradient(along_x, *grid.spacing)
-    yy = np.gradient(along_y, grid.spacing[1], axis=1)
+    table, weights = coefficients_of(grid.z, through=True), basis(0.0)[:, :3]
+
+    def derivative(m: int, n: int) -> Array:  # of the surface at the nodes
+        each = correlate(table, np.outer(weights[m], weights[n]))[1:-1, 1:-1]
+        return np.asarray(each / (grid.spacing[0] ** m * grid.spacing[1] ** n))
+
+    slope = np.degrees(np.arctan(np.hypot(derivative(1, 0), derivative(0, 1))))[known]
+    xx, xy, yy = derivative(2, 0), derivative(1, 1), derivative(0, 2)
     concave = np.asarray((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy))[known]
     ends = zip(("west", "east", "south", "north"), grid.domain, strict=True)
     facts = {
@@ -66,12 +71,6 @@ def survey(ground: GroundMap) -> dict[str, Fact]:
         "slope_median": Fact(float(np.median(slope)), "degree", "median slope"),
         "slope_high": Fact(float(np.percentile(slope, 95)), "degree", "95th percentile of slopes"),
         "slope_largest": Fact(float(slope.max()), "degree", "largest slope"),
-        **{
-            f"share_above_{each:.0f}": Fact(
-                float(np.mean(slope > each)), "1", f"share of the nodes steeper than {each:g} deg"
-            )
-            for each in STEEP
-        },
         "hole_share": Fact(float(1 - known.mean()), "1", "share of the nodes in or beside holes"),
         "wheel_radius": Fact(
             1 / max(float(np.quantile(concave, TOUCHING)), 1e-9),
@@ -79,6 +78,9 @@ def survey(ground: GroundMap) -> dict[str, Fact]:
             f"radius of wheels that touch once at {100 * TOUCHING:g} % of the nodes",
         ),
     }
+    for each in STEEP:
+        words = f"share of the nodes steeper than {each:g} deg"
+        facts[f"share_above_{each:.0f}"] = Fact(float(np.mean(slope > each)), "1", words)
     ring = np.ones((3, 3), dtype=bool)
     ring[1, 1] = False
     high, low = (
