@@ -156,7 +156,7 @@ def test_a_plan_is_drawn_and_compared_with_the_last_one(page: EditPage) -> None:
     assert page.driver.find_elements("id", "path-last")
     rows = page.driver.find_element("id", "facts").text
     assert rows.count("complete") == 2
-    assert "path length" in rows
+    assert all(words in rows for words in ("path length", "mm/s", "tip-over margin"))
 
 
 def test_dragged_handles_change_values_and_the_saved_file(page: EditPage) -> None:

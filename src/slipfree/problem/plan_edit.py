@@ -33,7 +33,7 @@ from pydantic import AfterValidator, ConfigDict, Strict, TypeAdapter, Validation
 from tomlkit.exceptions import TOMLKitError
 
 from slipfree.core.errors import DataError, SlipfreeError
-from slipfree.core.facts import starting_with
+from slipfree.core.facts import Fact, lines, rows
 from slipfree.core.records import Array
 from slipfree.core.trajectory import outcome_words
 from slipfree.files.netcdf import DEGREES
@@ -59,6 +59,15 @@ FINITE = ConfigDict(allow_inf_nan=False)
 Number = Annotated[float, Strict()]  # an integer is one, true is none
 Point = tuple[Number, Number]
 PLACES = ("start", "goal", "keep_out")  # keys that the page changes
+PLANNED = rows("""outcome: {outcome}
+duration: {duration:.4g}
+path length: {path_length:.4g}
+cost {name}: <plan_cost_*> {fact:.4g}
+largest slip: {slip_largest:.3g>mm/s}
+largest utilisation: {utilisation_largest:.3g}
+tip-over margin: {tip_over_margin_least:.1f>deg}
+iterations: {plan_iterations:.0f}
+time of the search: {seconds:.1f}""")  # of a plan on the page
 
 
 class EditedRegion(NamedTuple):
@@ -519,17 +528,8 @@ def _solve(request: PlanRequest, connection: Connection[Any, Any]) -> Message:
     except MemoryError:
         return "expected enough memory for the plan, found none left; use fewer intervals"
     seconds, run = time.monotonic() - begin, result.trajectory
-    costs = starting_with("plan_cost_", run.facts)
-    driven = drive_facts(run)
-    facts = [
-        ("outcome", outcome_words(run)),
-        ("duration", f"{driven['duration']:.4g}"),
-        ("path length", f"{driven['path_length']:.4g}"),
-        *((f"cost {name.replace('_', ' ')}", f"{cost.value:.4g}") for name, cost in costs.items()),
-        ("largest slip", f"{driven['slip_largest']:.3g}"),
-        ("iterations", f"{run.facts['plan_iterations'].value:.0f}"),
-        ("time of the search", f"{seconds:.1f} s"),
-    ]
+    more = {"outcome": outcome_words(run), "seconds": Fact(seconds, "s")}
+    facts = lines(PLANNED, {**run.facts, **drive_facts(run), **more})
     chosen = np.unique(np.linspace(0, run.t.size - 1, SAMPLES).round().astype(int))
     path = np.stack([run["x"], run["y"]], axis=1)[chosen]
     return FoundPlan(path, not result.outcome.exit_code, tuple(facts), dict(result.arrays))

@@ -98,11 +98,8 @@ def tracks(run: Trajectory, ax: Axes) -> Axes:
     largest = _finite(np.maximum(values[:-1], values[1:])).ravel()
     order = np.argsort(largest, kind="stable")
     look: dict[str, Any] = {"linewidths": 2, "capstyle": "round", "zorder": 3}
-    colors: dict[str, Any] = {
-        "cmap": style.RISK.with_extremes(over=OVER),
-        "norm": Normalize(0, top),
-    }
-    lines = LineCollection(list(pieces[order]), array=largest[order], **colors, **look)
+    look |= {"cmap": style.RISK.with_extremes(over=OVER), "norm": Normalize(0, top)}
+    lines = LineCollection(list(pieces[order]), array=largest[order], **look)
     ax.add_collection(lines, autolim=False)
     style.side_bar(lines, ax, label, "max")
     if "utilisation" in run:
