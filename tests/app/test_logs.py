@@ -200,11 +200,8 @@ REFUSED = {
         changed({3: lambda x: -4.5 + x / 89e3, 4: lambda y: 36.7 + y / 111e3}),
         "found degrees of longitude and latitude; project them to the map's system, EPSG:32630",
     ),
-    "hundredths of degrees": (
-        changed({5: lambda heading: 100 * np.rad2deg(heading)}),
-        "values up to 2305.* that agree with no other column .*as in 'heading .cdeg.'",
-    ),
-    "headings in degrees": (changed({5: np.rad2deg}), "as degrees .*as in 'heading \\[deg\\]'"),
+    "hundredths of degrees": (changed({5: lambda h: 100 * np.rad2deg(h)}), "in cdeg .* .cdeg."),
+    "headings in degrees": (changed({5: np.rad2deg}), "in deg .*as in 'heading \\[deg\\]'"),
     "headings clockwise from north": (
         changed(COMPASS),
         "found the opposite: clockwise from north.* rad at the course .* rad.; write "
@@ -258,6 +255,7 @@ REFUSED = {
         table(DRIVE, "t,left [m/s],right [m/s],x,y,heading"),
         "expected values in rad/s .* found m/s; divide the speeds by the radius of the wheels",
     ),
+    "late inputs": (table(np.c_[DRIVE[30:, 0], DRIVE[:-30, 1:3], DRIVE[30:, 3:]]), "3 s before"),
     "no rates": (table(DRIVE[:, [0, 3, 4, 5]], "t,x,y,heading"), "found no column 'right'"),
 }
 

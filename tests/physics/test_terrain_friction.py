@@ -218,7 +218,7 @@ def test_a_map_that_is_not_positive_is_refused():
     bad = sf.Grid(mu.x + 0.25, mu.y, values)
     words = (
         r"friction: all coefficients must be positive, found 2 of 126 that are not, the first "
-        rf"0 at x = {bad.x[4]:.9g} m, y = 3\.125 m; for ice give a small number"
+        rf"z\[4, 7\] = 0 at x = {bad.x[4]:.9g} m, y = 3\.125 m; for ice give a small number"
     )
     refuses(sf.DataError, words, sf.Bicubic, HEIGHTS, mu=bad)
 

@@ -7,7 +7,7 @@ the travel of wheels must be near that of the positions. What is left out is cou
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,6 +45,7 @@ CLEAR, CLEARER = 0.8, 0.3  # least concentration of courses about headings, and 
 OPPOSITE, COUNTS = 0.5, 0.95  # least correlations of turns, and of counts with the path [1]
 OFFSET = 25.0  # least constant difference of course and heading that is refused [deg]
 FULL_CIRCLE = 360.0  # largest longitude [deg]
+SHIFTS, MAX_DELAY = np.arange(-80, 81) / 4, 1.0  # of clocks, and largest one that is a delay [s]
 DEGREE = 1e-4  # motion over travel of wheels below which positions are degrees [1]
 
 
@@ -321,24 +322,25 @@ def check_motion(
     chords = place[rows + step] - place[rows]
     size, turns, sign = np.abs(chords), None, 2  # courses are known up to the direction of travel
 
-    def change(rate: Array) -> Array:
-        sums = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(t)))[fresh]
-        return np.asarray(sums[rows + step] - sums[rows])
+    def change(total: Array, late: float = 0.0) -> Array:
+        ends = [np.interp(t[fresh][rows + k] - late, t, total) for k in (0, step)]
+        return np.asarray(np.diff(ends, axis=0)[0])
+
+    def path(rate: Array) -> Array:
+        return np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(t)))
 
     if sides is not None:
-        left, right = travels = np.array([*map(change, sides)])
-        turns = right - left
+        paths = [*map(path, sides)]
+        turns = change(paths[1] - paths[0])
         if is_aligned:
-            _check_signs(log, rows, step, chords * np.exp(-1j * zero), travels)
+            relative = chords * np.exp(-1j * zero)
+            _check_sides(log, rows, step, relative, lambda late: [change(p, late) for p in paths])
     if speed is not None:
-        travel, sign = change(speed), 1
-        if ratios is not None:
-            # rates that are angles or counts of an encoder may start again
-            parts = [speed] if sides is None else sides
-            turned = [np.unwrap(each, period=float(np.ptp(each)) or 1.0) for each in parts]
-            counts = np.sum(turned, axis=0)[fresh]
-            steps = np.abs(counts[rows + step] - counts[rows])
-            _check_travel(log, size, np.abs(travel), steps, ratios)
+        travel, sign = change(path(speed)), 1
+        # rates that are angles or counts of an encoder may start again
+        parts = [speed] if sides is None else sides
+        counts = [np.unwrap(each, period=float(np.ptp(each)) or 1.0) for each in parts]
+        _check_travel(log, size, abs(travel), abs(change(np.sum(counts, axis=0))), ratios or {})
         chords = chords * np.where(travel < 0, -1, 1)
     later = np.isin(rows + step, rows)
     at = np.searchsorted(rows, rows[later] + step)
@@ -359,7 +361,7 @@ def check_motion(
     weight = size / size.sum()
     alike = {  # mean direction of courses from headings that are read in this way
         factor: complex(np.exp(1j * sign * (course - factor * heading)).mean(axis=0) @ weight)
-        for factor in (1.0, -1.0, np.pi / 180, -np.pi / 180)
+        for factor in np.outer((1, -1), (1.0, np.pi / 180, np.pi / 18000)).ravel().tolist()
     }
     best = max(alike, key=lambda factor: abs(alike[factor]))
     is_other = abs(alike[best]) > max(CLEAR, abs(alike[1.0]) + CLEARER)
@@ -367,16 +369,13 @@ def check_motion(
         is_other |= _correlation(curved, bent[later]) < -OPPOSITE
     offset, mirrored = (np.rad2deg(np.angle(alike[factor]) / sign) for factor in (1.0, -1.0))
     largest = float(np.abs(values["heading"]).max())
-    is_alien = turns is not None and abs(alike[best]) < CLEAR and by_wheels < OPPOSITE
     if is_other and abs(best) < 1 and (is_aligned or largest > FULL_TURN):
+        unit = "cdeg" if abs(best) < UNITS["mrad"][1] else "deg"
         expected = "in rad"
-        found = f"values up to {largest:g} that agree with the direction of motion as degrees"
-        remedy = "name their unit with the column, as in 'heading [deg]'"
+        found = f"values up to {largest:g} that agree with the direction of motion in {unit}"
+        remedy = f"name their unit with the column, as in 'heading [{unit}]'"
     elif not is_aligned:
         return
-    elif is_alien and largest > FULL_TURN:
-        expected, found = "in rad", f"values up to {largest:g} that agree with no other column"
-        remedy = "name their unit with the column, as in 'heading [cdeg]'"
     elif is_other and by_wheels > OPPOSITE:
         expected, found = "that turn with the course", "that it turns against headings and wheels"
         remedy = "exchange the columns of x, to the east, and y, to the north"
@@ -412,36 +411,55 @@ def _correlation(one: Array, other: Array) -> float:
     return float(one @ other) / max(size, 1e-300)
 
 
-def _check_signs(
-    log: MotionLog, rows: Indices, step: int, chords: ComplexArray, travels: Array
+def _check_sides(
+    log: MotionLog,
+    rows: Indices,
+    step: int,
+    chords: ComplexArray,
+    changes: Callable[[float], list[Array]],
 ) -> None:
-    """Raise DataError if the motion follows with the opposite sign of one side, but not without.
+    """Raise DataError if the motion follows another reading of the sides, but not their columns.
 
-    ``chords`` are those from ``rows`` on, relative to the axis of headings, ``travels`` the paths
-    of the left and of the right side, shape (2, n). A distance is compared with the mean of both
-    paths, a turn with their difference; turns by 1 rad weigh as much as 1 m.
+    ``chords`` are those from ``rows`` on, relative to the axis of headings, ``changes``
+    return the paths of the left and of the right side over chords that are earlier by a time [s],
+    shape (n,) each. A distance is compared with the mean of both paths, a turn with their
+    difference. One side may have the opposite sign or another unit; inputs or headings may be late.
     """
     if "heading" in log.values:
-        heading, at = log.values["heading"], rows >= 0
+        heading, at, middle = log.values["heading"], rows >= 0, 0.0
         bent = np.angle(np.exp(1j * (heading[rows + step] - heading[rows])))
         ahead = (chords * np.exp(-1j * heading[rows + step // 2])).real
-    else:  # courses are known up to the direction of travel
+    else:  # courses are known up to the direction of travel, in the middle of chords
         at = np.isin(rows + step, rows)
         bent = np.angle((chords[np.searchsorted(rows, rows[at] + step)] / chords[at]) ** 2) / 2
-        ahead = np.zeros(bent.size)
-    size, (left, right) = np.abs(chords[at]), travels[:, at]
-    readings = (left + right, right - left), (left - right, -left - right)
-    misfit, opposite = (
-        size @ size * (1 - _correlation(size, np.abs(travel)) ** 2)
-        + bent @ bent * (1 - _correlation(bent, turn) ** 2)
-        for travel, turn in readings
-    )
-    if misfit - opposite > CLEARER * (size @ size + bent @ bent):
-        likeness = max(map(_correlation, (ahead, bent), readings[1]), key=abs)
+        ahead, middle = np.zeros(bent.size), CHORD / 2
+    size = np.abs(chords[at])
+    energy = np.array([size @ size, bent @ bent])  # turns by 1 rad weigh as much as 1 m
+
+    def misfit(left: Array, right: Array) -> Array:  # share of distances, and of turns
+        pairs = (size, abs(left + right)), (bent, right - left)
+        return np.array([1 - _correlation(*pair) ** 2 for pair in pairs])
+
+    left, right = (each[at] for each in changes(-middle))
+    plain = misfit(left, right)
+    if (plain - misfit(left, -right)) @ energy > CLEARER * energy.sum():
+        pairs = (ahead, left - right), (bent, -left - right)
+        likeness = max((_correlation(*pair) for pair in pairs), key=abs)
         side = "one" if abs(likeness) < CLEARER else "right" if likeness > 0 else "left"
         raise DataError(
             f"{log.path}: expected inputs of both sides that are positive ahead, found distances "
             f"and turns that agree with the opposite sign of the {side} side; change its sign"
+        )
+    shares = {  # distances may have the clock of the inputs, turns that of the headings
+        late: np.minimum(plain, misfit(*(each[at] for each in changes(late - middle))))
+        for late in SHIFTS[abs(SHIFTS) <= np.ptp(log.t) / 5 * (plain.sum() > CLEARER)].tolist()
+    }
+    late, best = min(shares.items(), key=lambda each: float(each[1].sum()))
+    if abs(late) > MAX_DELAY and plain.sum() - best.sum() > CLEARER > best.max():
+        when = f"{abs(late):.3g} s {'after' if late > 0 else 'before'} those of the inputs"
+        raise DataError(
+            f"{log.path}: expected one clock, found turns {when}, which explains {1 - best[1]:.0%} "
+            f"of them, no shift {1 - plain[1]:.0%}; shift the times of one"
         )
 
 
@@ -463,7 +481,7 @@ def _check_travel(
     units = ", or ".join(w for w, each in ratios.items() if abs(ratio / each - 1) < NEAR)
     if likeness > ALIKE and ratio < DEGREE:
         raise _degrees(log.path, log.values, ["x", "y"])
-    units = units or "another unit" * (not 1 / MAX_RATIO < ratio < MAX_RATIO)
+    units = units or "another unit" * (len(ratios) > 0 and not 1 / MAX_RATIO < ratio < MAX_RATIO)
     if likeness > ALIKE and units:
         raise DataError(
             f"{log.path}: expected times in s, positions in m and rates in SI units, found a "
@@ -508,10 +526,7 @@ def _read_result(path: Path, columns: Mapping[str, str]) -> Columns:
         elif column in run.columns:
             table[name] = run[column]
         else:
-            raise DataError(
-                f"{path}: expected the rates of the wheels and joints of the vehicle, found none "
-                f"for {column!r}; name another quantity in [data.rates]"
-            )
+            raise _no_rate(path, column, run.columns)
     return Columns(table)
 
 
@@ -525,10 +540,7 @@ def _read_joints(path: Path, columns: Mapping[str, str]) -> Columns:
     for name, column in columns.items():
         joint = column.removesuffix("_rate")
         if joint not in joints:
-            raise DataError(
-                f"{path}: expected the rates of the wheels and joints of the vehicle, found no "
-                f"joint {joint!r} among {', '.join(joints)}; name the joints in [data.rates]"
-            )
+            raise _no_rate(path, joint, joints)
         states = joints[joint]
         values = states.velocities if name.endswith("_rate") else states.positions
         if not np.isfinite(values).all():
@@ -538,3 +550,10 @@ def _read_joints(path: Path, columns: Mapping[str, str]) -> Columns:
             )
         table[name] = np.interp(pose["t"], states.t, values)
     return Columns(table)
+
+
+def _no_rate(path: Path, name: str, known: Iterable[str]) -> DataError:
+    return DataError(
+        f"{path}: expected the rates of the wheels and joints of the vehicle, found no joint "
+        f"{name!r} among {', '.join(known)}; name the quantities or joints in [data.rates]"
+    )

@@ -65,15 +65,19 @@ class Unknown:
     of: str = ""
 
     def __post_init__(self) -> None:
-        if not self.lower < self.upper:
-            raise ModelError(
-                f"unknown {self.name!r}: expected a lower bound below the upper one, found "
-                f"{self.lower:g} and {self.upper:g}; correct them"
-            )
+        self.check_bounds(self.lower, self.upper, "; correct them")
         if self.prior is not None and not 0 < self.prior[1] < math.inf:
             raise ModelError(
                 f"unknown {self.name!r}: expected a finite positive standard deviation of the "
                 f"prior, found {self.prior[1]:g}; correct it"
+            )
+
+    def check_bounds(self, lower: float, upper: float, words: str) -> None:
+        """Raise ModelError with ``words`` at its end unless bounds are in ascending order."""
+        if not lower < upper:
+            raise ModelError(
+                f"unknown {self.name!r}: expected a lower bound below the upper one, found "
+                f"{lower:.4g} and {upper:.4g}{words}"
             )
 
 

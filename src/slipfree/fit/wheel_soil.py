@@ -44,6 +44,7 @@ QUANTITIES = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
 FIRST_SHARE = 0.3  # of the variation of a quantity, as deviation of residuals in the first estimate
 SAME_MOTION = 0.05  # largest difference of the speeds of repeats, over the largest speed
 LEAST_SHARE = 0.02  # of the largest value of a quantity, as deviation without repeats
+BY_PEAKS = " with the limits of 'peak' and 'peak_rate'; change the bounds, or fit only one of both"
 SMALLEST = 1e-9  # deviation of a quantity that is not measured, or fitted exactly
 TOLERANCE = 1e-7  # of searches
 NOT_STEADY = ("damping_ratio", "creep", "regions", "coupled_shear")  # of a soil
@@ -279,12 +280,8 @@ class SoilProblem:
         self.nominal = np.array([float(getattr(soil, name)) for name in self.names])
         limits = np.array([_limits(each, soil, self.names) for each in unknowns]).reshape(-1, 2)
         for unknown, (low, high) in zip(unknowns, limits.tolist(), strict=True):
-            if not low < high:  # the peaks of the stress limit each other
-                raise ModelError(
-                    f"unknown {unknown.name!r}: expected a lower bound below the upper one, found "
-                    f"{low:.4g} and {high:.4g} with the limits of 'peak' and 'peak_rate'; change "
-                    "the bounds, or fit only one of both"
-                )
+            # the peaks of the stress limit each other
+            unknown.check_bounds(low, high, BY_PEAKS)
         # deviation of the prior, nominal or usual value, or a tenth of the range
         sizes = [
             (unknown.prior and unknown.prior[1])

@@ -12,6 +12,8 @@ from slipfree.core.records import Label
 from slipfree.laws.protocols import Equations, Motion, component_labels
 from slipfree.vehicle.tree import Vehicle
 
+USE_LEAST = "use least slip: LeastSlip(), or slip = 'least' in a problem file"
+
 
 @dataclass(frozen=True)
 class Rolling:
@@ -34,17 +36,10 @@ class Rolling:
         if any(wheel.rollers for wheel in vehicle.wheels):
             raise ModelError(
                 f"{vehicle.name!r}: expected wheels without rollers, found wheels with rollers, "
-                "whose contact points move freely across the rollers' axles; use least slip: "
-                "LeastSlip(), or slip = 'least' in a problem file"
+                f"whose contact points move freely across the rollers' axles; {USE_LEAST}"
             )
         check_exact_closure(vehicle, "rolling without slip")
-        found, needed = rolling_counts(vehicle)
-        if found != needed:
-            raise ModelError(
-                f"{vehicle.name!r} cannot roll without slip: expected {needed} passive joints and "
-                f"free wheels, one per rolling condition, found {found}; use least slip: "
-                "LeastSlip(), or slip = 'least' in a problem file"
-            )
+        check_rolling_counts(vehicle, "", USE_LEAST)
 
     def unknowns(
         self,
@@ -83,3 +78,13 @@ def rolling_counts(vehicle: Vehicle) -> tuple[int, int]:
     """Return the number of passive joints and free wheels, and that of rolling conditions."""
     free = sum(not wheel.driven for wheel in vehicle.wheels)
     return len(vehicle.of("passive")) + free, 2 * len(vehicle.wheels) - 3
+
+
+def check_rolling_counts(vehicle: Vehicle, purpose: str, remedy: str) -> None:
+    """Raise ModelError unless there is one passive joint or free wheel per rolling condition."""
+    found, needed = rolling_counts(vehicle)
+    if found != needed:
+        raise ModelError(
+            f"{vehicle.name!r} cannot roll without slip{purpose}: expected {needed} passive joints "
+            f"and free wheels, one per rolling condition, found {found}; {remedy}"
+        )

@@ -600,14 +600,19 @@ def static_sinkage(soil: Soil, size: WheelSize, load: float) -> float:
     force = forces_at_speeds(soil, size, depth, 0, 0, 0, STEADY_CREEP).normal
     normal = ca.Function("normal", [depth], [ca.vertcat(force, ca.jacobian(force, depth))])
     most = float(normal(size.radius)[0])
-    if most < load:
-        raise ModelError(
-            f"soil: expected a sinkage smaller than the wheel's radius, {size.radius:g} m, found "
-            f"that the soil bears only {most:.4g} N of {load:.4g} N at that depth; "
-            "reduce the load, or increase the wheel's width or radius"
-        )
+    check_bearing(size, most, load)
     depths = depth_under_load(lambda h: normal(h[None]).full(), size.radius, np.array([load]))
     return float(depths[0])
+
+
+def check_bearing(size: WheelSize, borne: float, load: float, motion: str = "") -> None:
+    """Raise ModelError if soil bears less than a load [N] at the depth of a wheel's radius."""
+    if borne < load:
+        raise ModelError(
+            f"soil: expected a sinkage smaller than the wheel's radius, {size.radius:g} m, found "
+            f"that the soil bears only {borne:.4g} N of {load:.4g} N at that depth{motion}; reduce "
+            "the load, or increase the wheel's width or radius"
+        )
 
 
 def depth_under_load(

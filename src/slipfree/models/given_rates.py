@@ -41,7 +41,7 @@ from slipfree.core.rearrange import ModelVariable, new_variable, variables
 from slipfree.core.records import Array, Label, leaves, pack
 from slipfree.core.trajectory import Trajectory
 from slipfree.laws.least_slip import LeastSlip, slip_unit
-from slipfree.laws.rolling import Rolling, rolling_counts
+from slipfree.laws.rolling import Rolling, check_rolling_counts, rolling_counts
 from slipfree.models.base import extent
 from slipfree.vehicle.tree import Coordinate, Kind, Vehicle
 
@@ -213,18 +213,14 @@ def _check_rates(given: GivenRates, vehicle: Vehicle) -> None:
             f"rates ({', '.join(EULER)}), not both, found {', '.join(names)}; replace those of one "
             "kind by the other kind"
         )
-    count, need = rolling_counts(vehicle)
-    if count != need:
-        raise ModelError(
-            f"{vehicle.name!r} cannot roll without slip, as inverse kinematics with the rates "
-            f"{', '.join(names)} requires: expected {need} passive joints and free wheels, one "
-            f"per rolling condition, found {count}; give one or more of {commands} instead"
-        )
+    instead = f"give one or more of {commands} instead"
+    purpose = f", as inverse kinematics with the rates {', '.join(names)} requires"
+    check_rolling_counts(vehicle, purpose, instead)
     if len(inputs := _inputs(vehicle)) != 3:
         raise ModelError(
             f"{vehicle.name!r}: expected three inputs (driven wheels and commanded coordinates) "
             f"for three given rates of the platform, found {len(inputs)}: {', '.join(inputs)}; "
-            f"give one or more of {commands} instead"
+            f"{instead}"
         )
     if given.solve_for == "angles" and not vehicle.of("commanded"):
         raise ModelError(

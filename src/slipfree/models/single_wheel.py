@@ -17,6 +17,7 @@ from slipfree.laws.soil import (
     STEADY_CREEP,
     Soil,
     WheelSize,
+    check_bearing,
     depth_under_load,
     forces_at_slip,
     forces_at_speeds,
@@ -152,15 +153,10 @@ def steady_forces(
     normal = ca.vertcat(components.normal, ca.jacobian(components.normal, depth))
     forces = ca.Function("forces", [depth, speeds], [normal, *components[1:]])
     borne = forces(np.full((1, load.size), size.radius), motion)[0].full()[0]
-    if (borne < load).any():
-        k = (borne - load).argmin()
+    for k in np.argsort(borne - load)[:1]:
         slip, angle = slip_of_motion(motion[:, k])
-        raise ModelError(
-            "expected a sinkage smaller than the wheel's radius, "
-            f"{size.radius:g} m, found that the soil bears only {borne[k]:.4g} N of "
-            f"{load[k]:.4g} N at that depth, at slip {slip:g} and slip angle {angle:g} rad; "
-            "reduce the load, or use a larger wheel"
-        )
+        where = f", at slip {slip:g} and slip angle {angle:g} rad"
+        check_bearing(size, borne[k], load[k], where)
     depths = depth_under_load(lambda h: forces(h[None], motion)[0].full(), size.radius, load)
     _, pull, side, torque = (each.full()[0] for each in forces(depths[None], motion))
     return SteadyForces(depths, pull, -np.sign(motion[2]) * side, torque)

@@ -114,11 +114,7 @@ def horizon(
     """
     length, task = plan.motion.duration, plan.program.task
     _check_task(task)
-    if not 0 < span <= length:
-        raise ModelError(
-            f"horizon: span: expected a window above 0 and at most {length:g} s, the duration of "
-            f"the plan, found {span} s; choose a window in this range"
-        )
+    check_duration("horizon: span: expected a window", span, length)
     own = replace(
         task,
         conditions=task.conditions[-1:],
@@ -144,6 +140,15 @@ def horizon(
         iterations,
         warm_solver(program, SEARCH_ITERATIONS),
     )
+
+
+def check_duration(expected: str, duration: float, longest: float) -> None:
+    """Raise ModelError unless a duration is positive and at most that of the plan [s]."""
+    if not 0 < duration <= longest:
+        raise ModelError(
+            f"{expected} above 0 and at most {longest:g} s, the duration of the plan, found "
+            f"{duration:g} s; choose one in this range"
+        )
 
 
 def _check_task(task: PlanTask) -> None:

@@ -23,7 +23,7 @@ from slipfree.core.dae import Dae, InputValue, PiecewiseLinear
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import SolverError, Trajectory, joined
-from slipfree.plan.mpc import Cycle, Horizon, cycle_inputs, first_cycle, replan
+from slipfree.plan.mpc import Cycle, Horizon, check_duration, cycle_inputs, first_cycle, replan
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.sampling import SampledPlan, SamplingTask, sample_plan
 from slipfree.plan.verification import simulate_to_failure
@@ -340,11 +340,7 @@ def track_plan(
         If a simulation cannot be started.
     """
     planned, period = controller.model, controller.period
-    if not 0 < period <= duration:
-        raise ModelError(
-            f"period: expected a period above 0 and at most {duration:g} s, the duration of the "
-            f"plan, found {period:g} s; choose a period in this range"
-        )
+    check_duration("period: expected a period", period, duration)
     _check_world(planned, world)
     times = np.linspace(0.0, duration, round(duration / period) + 1)
     latency, length = round(world.latency / times[1]), times[1]

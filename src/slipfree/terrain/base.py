@@ -519,12 +519,19 @@ def _check_heights(x: Array, y: Array, z: Array) -> None:
         )
     bad = ~np.isfinite(z)
     if bad.any():
-        i, j = np.argwhere(bad)[0]
         raise DataError(
-            f"grid: all values of z must be finite, found {np.count_nonzero(bad)} of {z.size} that "
-            f"are not, the first z[{i}, {j}] = {z[i, j]} at x = {x[i]:.9g} m, y = {y[j]:.9g} m; "
-            "fill the gaps or cut the grid to its finite part"
+            f"grid: all values of z must be finite, found {_nodes_text(bad, x, y, z)}; fill the "
+            "gaps or cut the grid to its finite part"
         )
+
+
+def _nodes_text(bad: Mask, x: Array, y: Array, z: Array) -> str:
+    """Return the number of bad nodes, and the value and place of the first."""
+    i, j = np.argwhere(bad)[0]
+    return (
+        f"{np.count_nonzero(bad)} of {z.size} that are not, the first z[{i}, {j}] = {z[i, j]:g} at "
+        f"x = {x[i]:.9g} m, y = {y[j]:.9g} m"
+    )
 
 
 # number, function of two SX scalars in map coordinates, or map; None if not given [1]
@@ -551,12 +558,10 @@ def check_friction(mu: Friction) -> None:
                 "those at its border"
             )
         if not mu.values.min() > 0:
-            bad = ~(mu.z > 0)
-            i, j = np.argwhere(bad)[0]
+            found = _nodes_text(~(mu.z > 0), mu.x, mu.y, mu.z)
             raise DataError(
-                f"friction: all coefficients must be positive, found {np.count_nonzero(bad)} of "
-                f"{bad.size} that are not, the first {mu.z[i, j]:g} at x = {mu.x[i]:.9g} m, "
-                f"y = {mu.y[j]:.9g} m; for ice give a small number"
+                f"friction: all coefficients must be positive, found {found}; for ice give a small "
+                "number"
             )
     elif callable(mu):
         check_formula(mu, "friction", "coefficient")

@@ -844,10 +844,8 @@ def wheel_guesses(
         is_known = joint in wheels or joint.name in {*roles.joints, *on_wheels}
         if is_known or joint.type == "prismatic" or not tree.is_last(joint):
             continue
-        if joint.moves and not tree.is_level(joint):
-            continue
         is_ball = {shape.kind for shape in link.shapes} == {"sphere"}
-        if is_ball and CASTER.search(joint.names):
+        if (joint.moves and not tree.is_level(joint)) or (is_ball and CASTER.search(joint.names)):
             continue
         turned = joint.upper - joint.lower  # equal limits are those of a careless export, too
         turns = joint.type == "revolute" and (turned >= FULL_TURN or turned == 0)

@@ -19,6 +19,7 @@ from slipfree.core.records import leaves
 from slipfree.core.schema import Length
 from slipfree.core.trajectory import Outcome, SolverError, Trajectory, path_length
 from slipfree.files.netcdf import read, read_arrays, write
+from slipfree.laws.coulomb import check_friction
 from slipfree.plan import tracking
 from slipfree.plan.mpc import Horizon, horizon
 from slipfree.plan.polynomial_motion import from_arrays
@@ -171,12 +172,7 @@ def follow_plan(
         if disturb.get("heights"):
             grid = disturbed(grid, disturb["heights"], CORRELATION * dae.size, seed)
         if disturb.get("friction"):
-            if mu is None:
-                raise ModelError(
-                    "disturb: friction: expected a ground with a coefficient of friction, found "
-                    "none; give it by --set terrain.friction=0.8, and --set model=quasi-static, "
-                    "whose motion depends on friction"
-                )
+            check_friction("disturb: friction (of a quasi-static model)", built.terrain)
             mu = scaled_friction(mu, 1 + sign * disturb["friction"])
         terrain = Bicubic(grid, built.terrain.center, mu)
         pairs = zip(wheels, radii.tolist(), strict=True)
