@@ -41,17 +41,8 @@ class Code:
     def run_test(self, test=None):
         """Return the finished test program."""
         test = test or self.files[2]
-        command = [
-            *STRICT,
-            "-I",
-            self.files[0].parent,
-            self.object,
-            test,
-            "-o",
-            self.program,
-            "-lm",
-        ]
-        subprocess.run(command, check=True)
+        place = ["-I", self.files[0].parent, self.object, test, "-o", self.program, "-lm"]
+        subprocess.run([*STRICT, *place], check=True)
         return subprocess.run([self.program], capture_output=True, text=True, check=False)
 
     def call(self, function, *arguments):
@@ -107,6 +98,12 @@ def cart(tmp_path_factory):
     code = Code([Path(line.removeprefix("wrote ")) for line in lines[:-1]])
     code.command = lines[-1]
     return code
+
+
+def test_another_export_writes_the_same_code(cart, tmp_path):
+    printed("export", cart.files[0].parents[1] / "problem.toml", "--c", tmp_path)
+    for file in cart.files:
+        assert (tmp_path / file.name).read_text() == file.read_text()
 
 
 def test_code_agrees_with_the_models_in_100_states(cart):

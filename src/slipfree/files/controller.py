@@ -212,9 +212,7 @@ def _model(vehicle: Vehicle, grid: Grid, rates: GivenRates) -> _Model:
     pairs = zip(inverse.residuals, inverse.block_rows, strict=True)
     blocks = [(law, z[rows]) for law, rows in pairs][1:-1]  # neither the positions nor the forces
     # answers: rates of wheels and joints, targets of steered joints, and velocities
-    answers: list[tuple[Label, ca.SX]] = [
-        *zip(direct.labels.u.wheels, direct.u.wheels, strict=True)
-    ]
+    answers = list[tuple[Label, ca.SX]](zip(direct.labels.u.wheels, direct.u.wheels, strict=True))
     outputs = dict(zip((label.name for label in inverse.labels.y[1]), inverse.y[1], strict=True))
     states = zip(leaves(direct.labels.x), leaves(direct.x), strict=True)
     joints = {label.name: value for label, value in states}
@@ -304,11 +302,13 @@ class _PlainCode(CodeWriter):
         """Return the code of ``eval_NAME(ground, a, r)`` for a graph."""
         functions, lines, row = [self.function(f"f_{graph.name}", graph.function)], [], 0
         for k, (lookup, argument) in enumerate(zip(graph.lookups, graph.arguments, strict=True)):
-            functions.append(self.function(f"q_{graph.name}_{k}", argument))
+            x = argument.sx_in()  # without the key of the ground, a random number
+            place = ca.Function("place", x, [argument(*x)[:2]])
+            functions.append(self.function(f"q_{graph.name}_{k}", place))
             lines.append(f"  q_{graph.name}_{k}(a, found, q);\n  look(ground, q, found + {row});\n")
             row += lookup.found.numel()
         arguments = f"const {prefix}_ground *ground, const double *a, double *r"
-        q = "  double q[3];\n" if lines else "  (void)ground;\n"
+        q = "  double q[2];\n" if lines else "  (void)ground;\n"
         return _lines(functions) + (
             f"\nstatic void eval_{graph.name}({arguments}) {{\n"
             f"  double found[{max(1, row)}] = {{0}};\n{q}{''.join(lines)}"
