@@ -12,10 +12,12 @@ from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
 from slipfree.plan import search as searching
+from slipfree.plan import verification as proof
 from slipfree.plan.plan import plan
 from slipfree.plan.polynomial_motion import motion_of, transfer_motion
+from slipfree.plan.problem import limits_of
 from slipfree.plan.transcription import CollocationMesh
-from slipfree.plan.verification import Verification, obstacle_words, refine_mesh, simulate_plan
+from slipfree.plan.verification import Verification, refine_mesh, simulate_plan
 
 VEHICLE = three_wheeler(axle="fixed")
 
@@ -93,8 +95,7 @@ def test_a_mesh_is_refined_until_the_simulation_agrees(model):
     coarse = asked(model, mesh=mesh, options=options)
     wanted = max(coarse.difference.values()) / 10
     found = asked(model, mesh=replace(mesh, accuracy=wanted), options=options)
-    assert coarse.accurate
-    assert found.accurate
+    assert (coarse.accurate, found.accurate) == (True, True)
     assert max(found.difference.values()) <= wanted
     assert set(coarse.motion.mesh.ends) < set(found.motion.mesh.ends)
     assert found.stages[-1].words.endswith("intervals")
@@ -109,9 +110,7 @@ def test_a_plan_that_no_mesh_makes_accurate_is_its_simulation_with_the_goal_move
     found = asked(model, way_points={0.5: {"x": (0.02, 0.05)}}, **options)
     assert {stage.words for stage in found.stages[2:-1]} == {"moved goal"}
     assert found.stages[-1].words == "simulation"
-    assert found.accurate
-    assert found.optimality is None
-    assert found.prices == ()
+    assert (found.accurate, found.optimality, found.prices) == (True, None, ())
     assert max(found.difference.values()) < 1e-3
     end, k = found.replay, np.abs(found.replay.t - found.replay.t[-1] / 2).argmin()
     assert_allclose([end["x"][-1], end["y"][-1]], (0.1, 1.3), atol=1e-3)
@@ -173,10 +172,20 @@ def test_what_is_violated_between_the_points_is_told_and_made_small(model):
     k = distance.argmin()
     assert found.violation["disc"] == pytest.approx(0.04 - distance[k], abs=1e-9)
     at = f"at t = {replay.t[k]:.4g} s, x = {replay['x'][k]:.2f} m, y = {replay['y'][k]:.2f} m"
-    assert obstacle_words(found.program.task, replay, 1e-3).endswith(f" m {at}")
+    assert proof.obstacle_words(found.program.task, replay, 1e-3).endswith(f" m {at}")
     finer = asked(model, **options, mesh=sf.Mesh(3, degree=2))
     assert finer.accurate
-    assert not obstacle_words(finer.program.task, finer.replay, 1e-3)
+    assert not proof.obstacle_words(finer.program.task, finer.replay, 1e-3)
+
+
+def test_a_limit_of_the_plan_that_the_model_has_too_is_verified_as_given(model, coarse):
+    least, found = coarse.replay["tip_over"].min(), (coarse.solution.unknowns, model[1])
+    for low, over in ((least - 0.1, None), (least + 0.1, pytest.approx(0.1, abs=1e-6))):
+        task = replace(coarse.program.task, limits=limits_of(model[0], {"tip_over": (low, 9.0)}))
+        shown = proof.verify_plan(
+            replace(coarse.program, task=task), *found, accuracy=1e-3, step=0.1
+        )
+        assert (shown.violation.get("tip_over"), shown.accurate) == (over, over is None)
 
 
 AGAIN = [f"from a motion without costs, {each} slip cost" for each in ("without", "with")]

@@ -85,8 +85,8 @@ def verify_plan(
     """
     task, motion = program.task, motion_of(program, unknowns)
     dae, other = task.dae, task.dae.replay
-    exact = {limit.label.full: limit for limit in dae.all_limits}  # without clearance
-    limits = tuple(exact.get(limit.label.full, limit) for limit in task.limits)
+    exact = {limit.label: limit for limit in dae.all_limits}  # without clearance
+    limits = tuple(exact.get(limit.label, limit) for limit in task.limits)
     further = [*task.limits]
     model, options = dae if other is None else other.model, program.options
     # The error test of the unknowns, which follow from the states, would triple the steps. Rounding
