@@ -358,17 +358,17 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
     is_exact = has_exact_closure(vehicle)
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     passive = [c.name for c in vehicle.of("passive")]
-    given, needed = len(passive) + len(free), _tangential(vehicle) - 3
-    count = abs(needed - given)
-    nouns = "wheel or joint" if count == 1 else "wheels or joints"
-    change = f"{count} {'more' if given < needed else 'fewer'} free {nouns}"
+    unknown, no_slip = 3 + len(passive) + len(free), _tangential(vehicle)
     if has_law:
         rolls = "the wheels slip as the wheel-ground law determines"
-    elif given == needed:
+    elif unknown == no_slip:
         law = "least" if any(wheel.rollers for wheel in vehicle.wheels) else "rolling"
         rolls = f"yes (slip = '{law}')"
     else:
-        rolls = f"no: its wheels slip as little as possible; rolling would need {change}"
+        rolls = (
+            f"not in general: {no_slip} no-slip conditions, {unknown} unknown rates (platform, "
+            "free wheels, passive joints); the slip is minimal, zero if inputs and ground permit"
+        )
     ground = ["height", "pitch", "roll", *(c.name for c in vehicle.of("suspension"))]
     listed_ground = ", ".join(ground if is_exact else [*ground, "depths of the wheels"])
     equations = "equilibrium and the wheel-ground law; they also determine the normal forces"
@@ -392,7 +392,7 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
         ("  equations", f"{len(dae.labels.alg[1])}: {equations}"),
         ("passive joints", _listed(passive)),
         ("free wheels", _listed(free)),
-        ("no-slip conditions", f"{needed} besides the contacts"),
+        ("no-slip conditions", f"{no_slip}, for {unknown} unknown rates"),
     ]
     if not vehicle.mass:
         return main, details
