@@ -151,6 +151,7 @@ WRONG = [
         '<mass value="1500"/>',
         "at most 1.35e+03 for its radius, found 1500 (",
     ),
+    ("</robot>", "", "expected XML, found that the file ends within an element; it may be trunc"),
     ('<robot name="cart">', ENTITY, "cart.urdf:3: expected XML without a document type, found"),
     ('<robot name="cart">', INCLUDE, "cart.urdf:3: expected plain URDF, found xacro,"),
     ('xyz="0 0.25 0"', 'xyz="0 ${a} 0"', "found xacro, '0 ${a} 0' in the attribute 'xyz' of"),

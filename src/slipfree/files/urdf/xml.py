@@ -13,7 +13,7 @@ from slipfree.core.errors import DataError
 from slipfree.files.foreign_formats import FORMATS, TABLE
 from slipfree.system.regular_files import regular_file
 
-REMEDIES = {getattr(expat.errors, f"XML_ERROR_{name}"): text for name, text in TABLE["xml"].items()}
+FAULTS = {getattr(expat.errors, f"XML_ERROR_{name}"): text for name, text in TABLE["xml"].items()}
 # by endings, and by names of root elements
 REFUSED = {key: each for each in FORMATS if each.robot for key in (*each.endings, *each.roots)}
 ROBOTS = (".urdf", ".xacro", ".xml")  # endings of robot descriptions
@@ -106,8 +106,8 @@ def parse(data: bytes, name: str) -> Element:
         parser.Parse(data, True)
     except expat.ExpatError as error:
         fault = expat.ErrorString(error.code)
-        remedy = REMEDIES.get(fault, "correct it")
-        raise DataError(f"{name}:{error.lineno}: expected XML, found {fault}; {remedy}") from error
+        words = FAULTS.get(fault, f"{fault}; correct it")
+        raise DataError(f"{name}:{error.lineno}: expected XML, found {words}") from error
     except DataError:  # a document type; DataError is a ValueError
         raise
     except (LookupError, ValueError) as error:
