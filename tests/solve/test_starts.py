@@ -198,7 +198,7 @@ def test_trajectories_and_expressions_are_starts_and_inputs(dae):
         ({"p": {"trail": [0.0]}}, "model: expected a function of the parameters in p"),
         ({"processes": 2}, "model: expected a function for 2 processes, found a model"),
         ({"processes": 0}, "processes: expected a number >= 1, found 0"),
-        ({"quantities": ["speed"]}, "expected a quantity of the trajectory, found 'speed'"),
+        ({"quantities": ["speed"]}, "found 'speed'; .*use a name in .columns, or .t for the times"),
         (
             {"model": lambda: None, "processes": 2},
             "model: expected a function at the level of a module.*pickle",

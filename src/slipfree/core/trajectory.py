@@ -289,10 +289,9 @@ class Trajectory(Drawable):
         """
         quantity, wheel = (name, None) if isinstance(name, str) else name
         if quantity not in self.columns:
-            known = ", ".join(sorted(self.columns))
             raise ModelError(
                 f"expected a quantity of the trajectory, found {quantity!r}; "
-                f"{similar(quantity, self.columns)}use one of {known}"
+                f"{similar(quantity, self.columns)}use a name in .columns, or .t for the times"
             )
         values = self.columns[quantity].values
         if wheel is None:
