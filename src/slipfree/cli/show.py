@@ -118,6 +118,7 @@ def show(
 
 
 def _write_page(file: Path, text: str, more: str = "") -> None:
+    more += ", which replaces the earlier file" * file.exists()
     # file names in the text may have invalid characters
     replace_file(file, lambda part: part.write_text(text, "utf-8", "backslashreplace"))
     console.print_written(file, more)
