@@ -110,7 +110,7 @@ prices of limits: {prices}
 !driven slowly: {slow_failure}
 *!simulated with friction: ends {friction_end_distance:.3g} from the plan, slips \
 {friction_slip_per_path:.3g>mm/m} per wheel, utilisation at most \
-{friction_utilisation_largest:.3g}[ ({slides})]
+{friction_utilisation_largest:.3g}[ ({slides})][; the plan needs {utilisation_largest:.3g}]
 *!simulated with friction: {friction_failure}
 !simulated with inertia: ends {soil_end_distance:.3g} from the plan, slip ratio \
 {soil_slip_ratio_largest:.3g} at most, sinkage {soil_sinkage_largest:.3g>mm} at most, work \
