@@ -146,11 +146,7 @@ WRONG = [
     ('<origin xyz="0 0.25 0"', '<Origin xyz="0 0.25 0"', "expected <origin>, found <Origin>"),
     ('<origin xyz="0 0.25 0"', '<origin position="0 0.25 0"', "xyz, rpy, found position"),
     (CASTER, CASTER + '<limit min="-1" max="1"/>', "jerk, found min, max; correct"),
-    (
-        '<mass value="1.5"/>',
-        '<mass value="1500"/>',
-        "at most 1.35e+03 for its radius, found 1500 (",
-    ),
+    ('<mass value="1.5"/>', '<mass value="1500"/>', "at most 1.35e+03 for its radius, found 1500"),
     ("</robot>", "", "expected XML, found that the file ends within an element; it may be trunc"),
     ('<robot name="cart">', ENTITY, "cart.urdf:3: expected XML without a document type, found"),
     ('<robot name="cart">', INCLUDE, "cart.urdf:3: expected plain URDF, found xacro,"),
