@@ -368,6 +368,7 @@ def test_pictures_have_fine_ground_a_scale_and_paths_on_the_ground(drive: Driven
     assert len(ground.get_paths()) == 89**2
     assert ground.get_clip_on()
     (bar,), (words, goal) = ax.lines, ax.texts
+    assert [each.get_color() for each in ax.get_legend().legend_handles] == [(0, 0, 0), (1, 0, 1)]
     *_, posts = (each for each in ax.collections if each.get_zorder() == 1)
     assert_allclose(goal.get_position(), posts.get_segments()[0][1])
     assert words.get_text() == f"{np.ptp(bar.get_xdata()):g} m"
@@ -441,26 +442,28 @@ def test_meshes_of_a_urdf_are_drawn(tmp_path: Path) -> None:
     body += '<mesh filename="body.stl" scale="0.5 0.5 0.5"/></geometry></visual>'
     wheel = '<link name="left_wheel">\n    <visual><geometry><mesh filename="wheel.stl"/>'
     wheel += "</geometry></visual>"
-    text = text.replace('<link name="base_link">', body)
-    text = text.replace('<link name="left_wheel">', wheel)
-    (tmp_path / "cart.urdf").write_text(text, encoding="utf-8")
+    text = text.replace('<link name="base_link">', body).replace('<link name="left_wheel">', wheel)
+    fork = '"fork"><collision><geometry><sphere radius="0.01"/></geometry></collision>'
+    (tmp_path / "cart.urdf").write_text(text.replace('"fork">', fork), encoding="utf-8")
     trimesh.creation.box((1.0, 0.6, 0.2)).export(tmp_path / "body.stl")
     trimesh.creation.icosphere(radius=0.15).export(tmp_path / "wheel.stl")  # lidar.stl is missing
     x = np.linspace(-3, 3, 13)
     np.savez(tmp_path / "flat.npz", x=x, y=x, z=np.zeros((13, 13)))
     found = shown(solved(tmp_path, "cart", NAMED), "cart")
     assert isinstance(found, Driven)
-    actor = drive_scene([found]).actors[0]
+    (actor,), origin = (scene := drive_scene([found])).actors, scene.origin
     bodies = {each.name: each for each in actor.bodies}
     assert actor.bodies[0].name == "platform"
-    assert {*bodies} == {"platform", "base_link", "left_wheel", "right_drive", "caster_axle"}
+    assert {*bodies} == {"platform", "base_link", "left_wheel", "right_drive", "caster_wheel"}
+    assert_allclose(np.ptp(bodies["caster_wheel"].meshes[0][0].vertices, 0), (0.2, 0.03, 0.2))
     ((mesh, color),) = bodies["base_link"].meshes
     assert color == actor.color
     assert_allclose(np.ptp(mesh.vertices, axis=0), (0.5, 0.3, 0.1), atol=1e-6)
     assert_allclose(mesh.vertices.mean(axis=0), (0.1, 0.0, 0.2), atol=1e-6)
-    origin = drive_scene([found]).origin
     wheels, names = wheel_poses(found.vehicle, found.run), [w.name for w in found.vehicle.wheels]
     left = wheels.origins[:, names.index("left_drive")]
     assert_allclose(bodies["left_wheel"].origins, left - origin, atol=1e-9)
     forward = bodies["base_link"].rotations[:, :, 0]
     assert_allclose(forward, bodies["platform"].rotations[:, :, 1], atol=1e-9)
+    (plain,) = drive_scene([found._replace(robot=None)]).actors
+    assert len(plain.bodies[0].meshes[0][0].vertices) % 32 == 0  # rods, without a plate

@@ -19,7 +19,7 @@ from slipfree.files.toml import Fault, Place, name_errors
 from slipfree.files.urdf import xacro
 from slipfree.files.urdf.elements import read_tree
 from slipfree.files.urdf.links import Robot
-from slipfree.files.urdf.meshes import MeshFiles
+from slipfree.files.urdf.meshes import MeshFiles, solids
 from slipfree.files.urdf.reader import forward_guess, read_urdf
 from slipfree.files.urdf.tree import NO_ROLES, Tree, UrdfTable, completed
 from slipfree.files.urdf.xml import check_ending, is_description, parse_robot
@@ -38,7 +38,7 @@ from slipfree.problem import schema
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, shared
 from slipfree.problem.schema import CATALOG
-from slipfree.show.meshes import joined
+from slipfree.show.meshes import joined, shape_mesh
 from slipfree.system.regular_files import read_bytes, regular_file
 from slipfree.vehicle.sections import TriangleMesh
 from slipfree.vehicle.tree import Vehicle, actuated, in_gravity
@@ -89,17 +89,19 @@ def vehicle_file(spec: schema.VehicleSource, problem: Problem[Any]) -> VehicleFi
 
 
 def visual_meshes(contents: VehicleFile) -> Mapping[str, TriangleMesh]:
-    """Return the meshes of the links of a URDF by name, those that can be read."""
+    """Return meshes of the visual shapes of a URDF by link, those that can be read."""
     _, robot, visuals = contents
     if robot is None or visuals is not None:
         return visuals or {}
     links, visuals = robot.tree.links.values(), dict[str, TriangleMesh]()
     folder = Path(robot.tree.file).parent
-    files = MeshFiles((mesh for link in links for mesh in link.visuals), folder)
+    files = MeshFiles((each for link in links for each in link.visuals), folder)
     for link in links:
         with suppress(DataError):  # the vehicle is then drawn with simple bodies
             if link.visuals:
-                visuals[link.name] = joined(*map(files.triangles, link.visuals))
+                drawn = (solid for each in link.visuals for solid in solids(each, files))
+                meshes = (s if isinstance(s, TriangleMesh) else shape_mesh(s) for s in drawn)
+                visuals[link.name] = joined(*meshes)
     return visuals
 
 

@@ -211,7 +211,10 @@ class View:
         ax.text(-half, low + 0.03 * half, f"{length:g} m", fontsize=7)
 
     def add_paths(self, scene: Scene) -> None:
-        """Add the paths of all platforms, keep-out regions, start and goal."""
+        """Add the paths of all platforms, keep-out regions, start and goal, and the legend."""
+        arrows = [each for each in scene.entries if each.group == "arrows"]
+        keys = [Line2D([], [], color=_shares(each.color), label=each.label) for each in arrows]
+        self.artists.append(self.ax.legend(handles=keys, loc="upper left"))
         plan = [each for each in scene.ground.lines if each.name in PLAN_LINES]
         for name, point in (label for each in plan for label in each.labels):
             look: dict[str, Any] = {"ha": "center", "va": "bottom", "parse_math": False}
@@ -287,10 +290,9 @@ def draw_faces(
 
 
 def _told(scene: Scene) -> list[str]:
-    """Return the scales of arrows, and of the colours of the first track."""
-    told = [each.label for each in scene.entries if each.group == "arrows"]
+    """Return the scale of the colours of the first track."""
     tracks = (each for actor in scene.actors for each in scene.track_layers(actor))
-    return [*told, *(f"{words(each.name)}, green to red: {each.legend}" for each in [*tracks][:1])]
+    return [f"{words(each.name)}, green to red: {each.legend}" for each in [*tracks][:1]]
 
 
 def arrow_lines(starts: Array, vectors: Array, sight: Array) -> Array:
@@ -353,9 +355,6 @@ def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
             ax.add_collection(LineCollection([*flat], colors=colors, zorder=3, **look))
         look = {"mfc": color, "mec": "white", "ms": 5, "zorder": 4}
         markers += ax.plot([], [], "o", label=actor.name, **look)
-    for each in scene.entries:
-        if each.group == "arrows":
-            ax.plot([], [], color=_shares(each.color), label=f"{each.name} (arrows)")
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return markers
 

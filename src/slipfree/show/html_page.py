@@ -200,11 +200,11 @@ def image(figure: Figure) -> str:
     return f"data:image/{kind};base64,{b64encode(drawn).decode()}"
 
 
-def _written(figure: Figure, ending: str) -> bytes:
+def _written(figure: Figure, ending: str, dpi: int = DPI) -> bytes:
     file = BytesIO()
     metadata = {"Date": None} if ending == "svg" else None
     with rc_context(STYLE | VECTOR):  # type: ignore[arg-type]  # its keys are a literal type
-        figure.savefig(file, format=ending, dpi=DPI, metadata=metadata)
+        figure.savefig(file, format=ending, dpi=dpi, metadata=metadata)
     return file.getvalue()
 
 
@@ -264,6 +264,4 @@ def map_image(grid: Grid) -> Content:
     muted(grid, ax, grid.domain)
     ax.set_axis_off()
     ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="auto")
-    stream = BytesIO()
-    drawn.savefig(stream, dpi=MAP_DPI, format="png")
-    return Content(stream.getvalue(), "image/png")
+    return Content(_written(drawn, "png", MAP_DPI), "image/png")

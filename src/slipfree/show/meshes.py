@@ -73,11 +73,10 @@ def roller_axles(radius: float, angle: float) -> TriangleMesh:
 def rod(
     start: Sequence[float] | Array, end: Sequence[float] | Array, radius: float
 ) -> TriangleMesh:
-    """Return the mesh of an eight-sided prism between two points [m]."""
+    """Return the mesh of an eight-sided prism between two different points [m]."""
     ends = np.array([start, end], dtype=float)
     along = ends[1] - ends[0]
-    length = float(np.linalg.norm(along))
-    along = along / length if length > NEAR else np.array([0.0, 0.0, 1.0])
+    along /= np.linalg.norm(along)
     side = np.cross(along, np.eye(3)[int(np.abs(along).argmin())])
     side /= np.linalg.norm(side)
     angles = 2 * np.pi * np.arange(ROD) / ROD

@@ -712,7 +712,7 @@ def _part_bodies(
         meshes = [rod(np.zeros(3), end, thick) for end in ends if np.linalg.norm(end) > thick]
         shapes = [shape for part, shape in vehicle.shapes if part == name]
         meshes += map(shape_mesh, shapes)
-        if name in spans and not shapes:
+        if name in spans and not vehicle.shapes:
             away = wheels.origins[0] - origins[0]
             half = NARROW * float(np.abs((away @ rotations[0])[:, 0]).max())
             meshes.append(plate(half, *spans[name], PLATE * radius))

@@ -200,9 +200,8 @@ def _link(element: Element, findings: tree.Findings, unread: list[str]) -> tree.
         every = ([each for each in group if isinstance(each, kind)] for group in found.values())
         return tuple(next(filter(None, every), ()))
 
-    visuals = tuple(each for each in found["visual"] if isinstance(each, tree.MeshFile))
     shapes, meshes, boxes = of(tree.Shape), of(tree.MeshFile), of(Box)
-    collisions = tuple(found["collision"])
+    visuals, collisions = tuple(found["visual"]), tuple(found["collision"])
     return tree.Link(name, mass, center, shapes, meshes, boxes, inertia, visuals, collisions)
 
 

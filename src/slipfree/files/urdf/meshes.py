@@ -90,10 +90,10 @@ def mesh_shape(meshes: Sequence[MeshFile], axis: Array, files: MeshFiles) -> Sha
 
 
 class MeshFiles:
-    """Files of meshes, read in one process with limits, since damaged files may hang or crash."""
+    """Files of the meshes among shapes, read in one process with limits: damaged ones may hang."""
 
-    def __init__(self, meshes: Iterable[MeshFile], folder: Path) -> None:
-        names = dict.fromkeys(mesh.name for mesh in meshes)
+    def __init__(self, shapes: Iterable[Geometry], folder: Path) -> None:
+        names = dict.fromkeys(each.name for each in shapes if isinstance(each, MeshFile))
         attempts = {name: _attempt(find_mesh, name, folder) for name in names}
         files = {name: path for name, path in attempts.items() if isinstance(path, Path)}
         self._read = {name: error for name, error in attempts.items() if name not in files}
@@ -266,8 +266,7 @@ def body_shapes(
     on_wheels = {j.child for wheel in wheels for j in [wheel, *tree.below(wheel.child)]}
     links = [link for link in tree.links.values() if link.name not in on_wheels]
     every = [each for link in links for each in link.collisions]
-    meshes = [each for each in every if isinstance(each, MeshFile)]
-    files = MeshFiles(meshes, Path(tree.file).parent)
+    files = MeshFiles(every, Path(tree.file).parent)
     places = [tree.frames[wheel.child][1] for wheel in wheels]
     centers = np.array(places or [np.full(3, np.inf)])
     parent = {joint.child: joint.parent for joint in tree.joints.values()}
@@ -306,6 +305,13 @@ def body_shapes(
         names = ", ".join(dict.fromkeys(unread.values()))
         notes.append(f"clearance without {names}: {why}{others}")
     return {owner: tuple(of_link) for owner, of_link in shapes.items()}, notes
+
+
+def solids(shape: Geometry, files: MeshFiles) -> list[TriangleMesh | BodyShape]:
+    """Return a shape in the frame of its link: a mesh, or shapes of bodies; see `MeshFiles`."""
+    if isinstance(shape, MeshFile):
+        return [files.triangles(shape)]
+    return [_shape(part, np.eye(3), files)[0] for part in _parts(shape)]
 
 
 def _parts(collision: Geometry) -> Iterator[Geometry]:

@@ -83,7 +83,7 @@ class Link(NamedTuple):
     meshes: tuple[MeshFile, ...] = ()
     boxes: tuple[Box, ...] = ()
     inertia: Elements | None = None  # ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre [kg m^2]
-    visuals: tuple[MeshFile, ...] = ()  # meshes among the visual shapes
+    visuals: tuple[Geometry, ...] = ()
     collisions: tuple[Geometry, ...] = ()
 
 

@@ -820,7 +820,8 @@ def mecanum_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
     named: list[UrdfJoint] = []
     for joint in wheels:
         link, drive = tree.links[joint.child], tree.drives.get(joint.name)
-        words = [joint.names, *(mesh.name for mesh in (*link.meshes, *link.visuals))]
+        meshes = (each for each in (*link.meshes, *link.visuals) if isinstance(each, MeshFile))
+        words = [joint.names, *(mesh.name for mesh in meshes)]
         named += [joint] * bool(MECANUM.search(" ".join([*words, drive.name if drive else ""])))
     if not named:
         return
