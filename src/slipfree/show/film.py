@@ -214,7 +214,7 @@ class View:
         """Add the paths of all platforms, keep-out regions, start and goal, and the legend."""
         arrows = [each for each in scene.entries if each.group == "arrows"]
         keys = [Line2D([], [], color=_shares(each.color), label=each.label) for each in arrows]
-        self.artists.append(self.ax.legend(handles=keys, loc="upper left"))
+        self.artists.append(self.ax.legend(handles=keys, loc="lower left", bbox_to_anchor=(0, 1)))
         plan = [each for each in scene.ground.lines if each.name in PLAN_LINES]
         for name, point in (label for each in plan for label in each.labels):
             look: dict[str, Any] = {"ha": "center", "va": "bottom", "parse_math": False}
