@@ -291,10 +291,11 @@ def test_a_wheel_has_the_radius_of_the_shape_that_touches_first(tmp_path):
     assert not any("several shapes" in note for note in vehicle.notes)
 
 
-def test_limits_become_stops_of_the_one_that_is_mimicked():
-    rocker = next(c for c in read_vehicle(DATA / "bogie.toml").coordinates if c.name[0] == "r")
-    assert (rocker.lower, rocker.upper, rocker.max_rate) == (-0.6, 0.5, 1.0)
-    assert (rocker.name, rocker.kind) == ("rocker_left", "suspension")
+def test_limits_become_stops_of_the_one_that_is_mimicked_and_notes_on_wheels(tmp_path):
+    (c,) = (c for c in read_vehicle(DATA / "bogie.toml").coordinates if c.name == "rocker_left")
+    assert (c.kind, c.lower, c.upper, c.max_rate) == ("suspension", -0.6, 0.5, 1.0)
+    file = changed(tmp_path, "cart", ("<axis", '<limit velocity="8"/><axis'))
+    assert any("velocity>, 8 rad/s, unless" in note for note in read_vehicle(file).notes)
 
 
 def test_mimics_of_mimics_multiply(tmp_path):

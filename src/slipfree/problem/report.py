@@ -333,11 +333,6 @@ def _joint(joint: Joint, vector: Array, kinds: dict[str, Coordinate]) -> str:
     return f"{does} {along} by {joint.value} ({kinds_of})"
 
 
-def _tangential(vehicle: Vehicle) -> int:
-    """Return the number of no-slip conditions and friction forces: one for a wheel on rollers."""
-    return sum(1 if wheel.rollers else 2 for wheel in vehicle.wheels)
-
-
 def _listed(names: Iterable[str]) -> str:
     names = list(names)
     return f"{len(names)}: {', '.join(names) or 'none'}"
@@ -358,7 +353,8 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
     is_exact = has_exact_closure(vehicle)
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     passive = [c.name for c in vehicle.of("passive")]
-    unknown, no_slip = 3 + len(passive) + len(free), _tangential(vehicle)
+    unknown = 3 + len(passive) + len(free)
+    no_slip = sum(1 if wheel.rollers else 2 for wheel in vehicle.wheels)
     if has_law:
         rolls = "the wheels slip as the wheel-ground law determines"
     elif unknown == no_slip:
@@ -396,7 +392,7 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
     ]
     if not vehicle.mass:
         return main, details
-    count = wheels + _tangential(vehicle)
+    count = wheels + no_slip  # a friction force for each condition
     loose = count - len(list(leaves(rates.motion)))
     if not is_exact:
         how = "the depths of the wheels determine the loads, on which friction depends"

@@ -257,6 +257,9 @@ class Wheels:
             and self.tree.is_last(joint)
             and on_wheels.isdisjoint(below.name for below in self.tree.below(joint.child))
         ]
+        for rate in sorted({joint.max_rate for joint in self.joints} - {math.inf}):
+            limited = [joint.name for joint in self.joints if joint.max_rate == rate]
+            note(f"may exceed <limit velocity>, {rate:g} rad/s, unless [bounds] limit it", limited)
         note("centre of mass moved from the inertial's origin to the wheel's centre", off)
         note(
             "without rollers, in spite of their names",
