@@ -352,7 +352,7 @@ def test_lift_off_ends_the_motion_by_its_name_where_forces_become_singular():
 def test_an_unknown_quantity_is_refused():
     dae = direct_kinematics(three_wheeler(), Analytic(hills))
     run = settle(dae)
-    with pytest.raises(ModelError, match=r"found 'speed'; .*use one of .*clearance"):
+    with pytest.raises(ModelError, match=r"found 'speed'; .*use a name in .columns, or .t for"):
         run["speed"]
     with pytest.raises(ModelError, match=r"'contact_x': expected one of the wheels right.*'rear'"):
         run["contact_x", "rear"]
