@@ -254,7 +254,7 @@ def test_a_plan_and_commands_in_degrees(tmp_path: Path) -> None:
 def test_bare_rates_and_large_angles_with_a_unit_are_accepted(tmp_path: Path) -> None:
     path = tmp_path / "p.toml"
     path.write_text(ANGLES_PROBLEM)
-    setup = build(load_problem(path, ['start.heading="450 deg"', "inputs.right_rate=8"]))
+    setup = build(load_problem(path, ["start.heading=450 deg", "inputs.right_rate=8"]))
     assert setup.start["heading"][0] == pytest.approx(2.5 * pi)
     path.write_text(ANGLES_PLAN)
     build(load_problem(path, ["bounds.right_rate=[-100, 100]", "limits.wheel_rate=[-10, 10]"]))

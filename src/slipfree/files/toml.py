@@ -430,11 +430,11 @@ class _KeyPlaceError(ValueError):
 
 
 def _value(text: str) -> Any:
-    """Return a TOML value, or the text itself if it needs no quotes."""
+    """Return a TOML value, or the text itself if it needs no quotes or is an angle with a unit."""
     try:
         (value,) = load_toml(f"value = {text}").values()
     except ValueError:
-        if BARE.fullmatch(text.strip()):
+        if BARE.fullmatch(text.strip()) or TEXT.fullmatch(text):
             return text.strip()
         raise
     return value
