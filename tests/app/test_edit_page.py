@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from selenium.webdriver import ActionChains
 
 from helpers.cases import DATA
 from helpers.chromium import PATIENCE, complaints, headless_chromium, patiently, phone
 
 PROBLEM = (DATA / "plan_of_a_short_way.toml").read_text()
-ActionChains = pytest.importorskip("selenium.webdriver").ActionChains
 REGIONS = """
 # a tree
 [[keep_out]]

@@ -99,13 +99,9 @@ def test_a_file_on_the_command_line_that_is_none(command, ending, kind):
 @pytest.mark.parametrize(
     ("table", "key", "ending"),
     [
-        ("terrain", "file", ".npz"),
-        ("terrain", "file", ".asc"),
-        ("terrain", "file", ".tif"),
-        ("terrain", "file", ".xyz"),
+        *(("terrain", "file", each) for each in (".npz", ".asc", ".tif", ".xyz")),
+        *(("vehicle", "file", each) for each in (".toml", ".urdf")),
         ("terrain", "friction", ".asc"),
-        ("vehicle", "file", ".toml"),
-        ("vehicle", "file", ".urdf"),
         ("driver", "file", ".csv"),
     ],
 )

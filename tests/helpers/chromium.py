@@ -18,7 +18,8 @@ def headless_chromium(size: tuple[int, int]) -> Iterator[Any]:
 
     ``size`` is that of the window in pixels.
     """
-    webdriver = pytest.importorskip("selenium.webdriver")
+    from selenium import webdriver
+
     places = [shutil.which(name) for name in ("chromium", "chromedriver")]
     if None in places:
         words = "needs chromium and chromedriver (Debian: apt install chromium chromium-driver)"

@@ -601,7 +601,7 @@ def test_places_to_keep_out_of_that_divide_the_map():
     disc, ends = sf.Region.disc(5.0, 25.0, 1.0), [START, ("goal", 25.0, 25.0)]
     ((place, words),) = told(plain(30, 0.25, keep_out=[disc, box(0, 30, 14, 16)]), *ends)
     assert place == "goal"
-    assert "the keep-out polygon of 4 points about (15, 15) separates them: make one" in words
+    assert "the keep-out polygon of 4 points about (15, 15) separates them; make it" in words
     together = plain(30, 0.25, keep_out=[box(0, 16, 14, 16), disc, box(17, 30, 14, 16)])
     ((_, words),) = told(together, *ends)
     assert "(8, 15) and polygon of 4 points about (23.5, 15) together separate them" in words

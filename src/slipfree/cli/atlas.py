@@ -5,16 +5,13 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from slipfree.cli import console, outputs
 from slipfree.cli.console import Draw, Processes, Scheduler, Settings, Trust, output_option
 from slipfree.core.errors import DataError
-
-if TYPE_CHECKING:
-    pass
 
 UNBOUNDED = "1e99"  # bound that no quantity reaches
 ENDINGS = (".tif", ".tiff", ".nc")

@@ -420,10 +420,10 @@ def _check_sides(
 ) -> None:
     """Raise DataError if the motion follows another reading of the sides, but not their columns.
 
-    ``chords`` are those from ``rows`` on, relative to the axis of headings, ``changes``
-    return the paths of the left and of the right side over chords that are earlier by a time [s],
-    shape (n,) each. A distance is compared with the mean of both paths, a turn with their
-    difference. One side may have the opposite sign or another unit; inputs or headings may be late.
+    ``chords`` begin at the samples ``rows`` and are relative to the axis of headings [m].
+    ``changes`` returns the paths of the left and of the right side over chords that are earlier by
+    a time [s], shape (n,) each [m]. A distance is compared with the mean of both paths, a turn with
+    their difference. One side may have the opposite sign; inputs or headings may be late.
     """
     if "heading" in log.values:
         heading, at, middle = log.values["heading"], rows >= 0, 0.0
@@ -458,8 +458,9 @@ def _check_sides(
     if abs(late) > MAX_DELAY and plain.sum() - best.sum() > CLEARER > best.max():
         when = f"{abs(late):.3g} s {'after' if late > 0 else 'before'} those of the inputs"
         raise DataError(
-            f"{log.path}: expected one clock, found turns {when}, which explains {1 - best[1]:.0%} "
-            f"of them, no shift {1 - plain[1]:.0%}; shift the times of one"
+            f"{log.path}: expected poses and inputs of one clock, found turns of the poses {when}: "
+            f"this shift explains {1 - best[1]:.0%} of the turns, no shift {1 - plain[1]:.0%}; "
+            "shift the times of the poses or of the inputs"
         )
 
 

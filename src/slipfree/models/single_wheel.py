@@ -153,7 +153,8 @@ def steady_forces(
     normal = ca.vertcat(components.normal, ca.jacobian(components.normal, depth))
     forces = ca.Function("forces", [depth, speeds], [normal, *components[1:]])
     borne = forces(np.full((1, load.size), size.radius), motion)[0].full()[0]
-    for k in np.argsort(borne - load)[:1]:
+    if load.size:
+        k = (borne - load).argmin()
         slip, angle = slip_of_motion(motion[:, k])
         where = f", at slip {slip:g} and slip angle {angle:g} rad"
         check_bearing(size, borne[k], load[k], where)

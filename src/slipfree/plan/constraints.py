@@ -76,24 +76,25 @@ class Constraint(NamedTuple):
 
 
 def with_clearance(limit: Limit, clearance: float = LIMIT_CLEARANCE) -> Limit:
-    """Return a limit that is narrower by a clearance on both sides."""
+    """Return a limit that is narrower by a clearance on both sides, in the unit of its label."""
     return limit._replace(lower=limit.lower + clearance, upper=limit.upper - clearance)
 
 
 def with_first_limits(task: PlanTask) -> PlanTask:
-    """Return a task with the model's limits of single states: the stops of joints.
+    """Return a task with the limits of the model that its first search needs.
 
-    As bounds of unknowns they add no rows. Without them, joints fold at cusps of a guess, and later
-    searches find no way back. Vehicles whose wheels press into the ground may also overturn during
-    a search: their attitude is limited, too.
+    They are the limits of single states, the stops of joints: as bounds of unknowns they add no
+    rows, and without them joints fold at cusps of a guess, from where later searches do not return.
+    Vehicles whose wheels press into the ground could overturn during a search; for these, the
+    limits include those of the attitude.
     """
-    have, stops = {limit.label.full for limit in task.limits}, list[Limit]()
+    have, added = {limit.label.full for limit in task.limits}, list[Limit]()
     attitude = ATTITUDE if task.dae.rest.numel() else ()
     for limit in task.dae.all_limits:
         is_state = (variable_of(task, limit.expression) or "")[:1] == ("x",)
         if (is_state or limit.label.name in attitude) and limit.label.full not in have:
-            stops.append(with_clearance(limit))
-    return replace(task, limits=(*task.limits, *stops))
+            added.append(with_clearance(limit))
+    return replace(task, limits=(*task.limits, *added))
 
 
 def constraint(task: PlanTask, limit: Limit, role: str, *places: Any) -> Constraint:

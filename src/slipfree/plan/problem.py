@@ -142,8 +142,8 @@ def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
     for limit in dae.all_limits:
         if name in (limit.label.name, limit.label.full):
             own = replace(limit.label, words=f"{limit.label.words}{LIMITED_SUFFIX}")
-            ends = max(low, limit.lower), min(high, limit.upper)
-            yield limit._replace(label=own, lower=ends[0], upper=ends[1])
+            narrow = limit._replace(lower=max(low, limit.lower), upper=min(high, limit.upper))
+            yield narrow._replace(label=own)
             is_known = True
     if not is_known:
         dae.named(name)  # raises an error with the known names

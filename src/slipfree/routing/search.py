@@ -659,8 +659,8 @@ def _keep_out_words(layers: Traversability, start: Point, goal: Point) -> str:
         rest = tuple(other for other in barrier if other is not region)
         barrier = rest if rest and _divides(layers, rest, ends) else barrier
     words = " and ".join(region.words for region in barrier)
-    verb = "separates" if len(barrier) == 1 else "together separate"
-    return f"the keep-out {words} {verb} them: make one smaller or move it"
+    verb, one = ("together separate", "one") if barrier[1:] else ("separates", "it")
+    return f"the keep-out {words} {verb} them; make {one} smaller or move it"
 
 
 def _divides(layers: Traversability, regions: tuple[Region, ...], ends: Ends) -> bool:

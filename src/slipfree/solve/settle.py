@@ -11,7 +11,8 @@ from typing import Annotated, Any
 import casadi as ca
 import numpy as np
 
-from slipfree.batch.many import Placement, find_rests, obstacles, wheel_checks
+from slipfree.batch import many
+from slipfree.batch.evaluator import evaluator_of
 from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError, check_known
@@ -131,7 +132,13 @@ def settle(
             f"the vehicle tips over at the start, where the ground under its wheels is inclined by "
             f"{slope:.3g} degrees; {remedy}"
         )
-    raise failure
+    # on ground that is rougher than its wheels, it is lowered from above, as in `settle_many`
+    lanes = evaluator_of(model, compiled=False)
+    lane = many.start_states(lanes.graphs, {name: np.array([start[name]]) for name in start})
+    if not many.stand(lanes, lane).has_pose[0]:
+        raise failure
+    at, z, _ = many.columns_of(lanes.graphs, lane)
+    return _one_sample(model, at.ravel(), z.ravel(), options)
 
 
 @computing
@@ -228,7 +235,7 @@ def _relax(model: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
 def _one_sample(dae: Dae, x: Array, first: Array, options: SolverOptions) -> Trajectory:
     """Return the vehicle at rest; wheels whose contacts are unknowns are lowered to the ground."""
     system = with_inputs(dae, dae.zero_inputs, 0, options)
-    n, wheels = x.size, wheel_checks(dae)
+    n, wheels = x.size, many.wheel_checks(dae)
     if not wheels:
         return consistent_start(system, x, first)
     block, p = system.blocks[0], slice(n, n + system.blocks[0].span.stop)
@@ -245,9 +252,9 @@ def _one_sample(dae: Dae, x: Array, first: Array, options: SolverOptions) -> Tra
 
     states = np.concatenate([x, first])[:, None]
     with np.errstate(all="ignore"):
-        rests = find_rests(Placement(dae, p, step, placed), states)
+        rests = many.find_rests(many.Placement(dae, p, step, placed), states)
     if not rests.has_pose[0]:
-        raise ModelError(obstacles(dae, states[:n], states[n:])[0])
+        raise ModelError(many.obstacles(dae, states[:n], states[n:])[0])
     return consistent_start(system, x, states[n:, 0])
 
 
