@@ -401,6 +401,8 @@ def _eliminated(
     rows, columns, order = set(range(m)), set(range(n)), list[tuple[int, int]]()
     for _ in range(n):
         i, j, pivot = _pivot(a, numbers, rows, columns, symmetric=symmetric)
+        if not pivot:
+            raise ModelError("batch: expected equations with one solution, found dependent ones")
         smallest = min(smallest, pivot)
         rows.remove(i)
         columns.remove(j)

@@ -84,10 +84,9 @@ def verify_plan(
     (``dae.replay``), only positions and angles must agree.
     """
     task, motion = program.task, motion_of(program, unknowns)
-    dae, other = task.dae, task.dae.replay
+    dae, other, further = task.dae, task.dae.replay, [*task.limits]
     exact = {limit.label: limit for limit in dae.all_limits}  # without clearance
     limits = tuple(exact.get(limit.label, limit) for limit in task.limits)
-    further = [*task.limits]
     model, options = dae if other is None else other.model, program.options
     # The error test of the unknowns, which follow from the states, would triple the steps. Rounding
     # can end the first steps of wheels that press into the ground, but not at the given tolerance.

@@ -133,12 +133,13 @@ def settle(
             f"{slope:.3g} degrees; {remedy}"
         )
     # on ground that is rougher than its wheels, it is lowered from above, as in `settle_many`
-    lanes = evaluator_of(model, compiled=False)
-    lane = many.start_states(lanes.graphs, {name: np.array([start[name]]) for name in start})
-    if not many.stand(lanes, lane).has_pose[0]:
-        raise failure
-    at, z, _ = many.columns_of(lanes.graphs, lane)
-    return _one_sample(model, at.ravel(), z.ravel(), options)
+    with suppress(ModelError):  # of a model without lanes, or of a pose beyond a limit
+        lanes = evaluator_of(model, compiled=False)
+        lane = many.start_states(lanes.graphs, {name: np.array([start[name]]) for name in start})
+        if many.stand(lanes, lane).has_pose[0]:
+            x, z, _ = map(np.ravel, many.columns_of(lanes.graphs, lane))
+            return _one_sample(model, x, z, options)
+    raise failure
 
 
 @computing
