@@ -314,16 +314,16 @@ def elimination(dae: Dae, state: ca.SX, rows: StateRows) -> Solve:
         """
         (values,) = evaluate(dae.function("matrix", [state], [ca.densify(ca.vec(matrix))]), samples)
         (m, n), solution = matrix.shape, None
-        turned = values.T[np.isfinite(values).all(axis=0)].reshape(-1, n, m)
-        numbers = turned.transpose(0, 2, 1)  # samples of the matrix
+        numbers = values.T[np.isfinite(values).all(axis=0)].reshape(-1, n, m).transpose(0, 2, 1)
         with np.errstate(all="ignore"):
             # pivots on the diagonal of a symmetric matrix need half the operations; those of the
             # least-slip condition can be chosen there, since rates precede multipliers
-            if m == n and np.allclose(numbers, turned, rtol=1e-12, atol=0):
-                solution, smallest = _eliminated(matrix, right, numbers.copy(), symmetric=True)
-                solution = solution if smallest >= MIN_PIVOT_ON_DIAGONAL else None
+            if m == n and np.allclose(numbers, numbers.transpose(0, 2, 1), rtol=1e-12, atol=0):
+                solution = _eliminated(matrix, right, numbers.copy(), symmetric=True)
             if solution is None:
-                solution, _ = _eliminated(matrix, right, numbers.copy(), symmetric=False)
+                solution = _eliminated(matrix, right, numbers, symmetric=False)
+        if solution is None:
+            raise ModelError("batch: expected equations with one solution, found dependent ones")
         return solution
 
     return solve
@@ -386,24 +386,20 @@ def _sampled_states(dae: Dae, state: ca.SX, rows: StateRows) -> Array:
     return samples
 
 
-def _eliminated(
-    matrix: ca.SX, right: ca.SX, numbers: Array, *, symmetric: bool
-) -> tuple[ca.SX, float]:
-    """Return the solution, and the smallest pivot relative to its row in all samples.
+def _eliminated(matrix: ca.SX, right: ca.SX, numbers: Array, *, symmetric: bool) -> ca.SX | None:
+    """Return the solution.
 
     ``numbers`` are values of the matrix (n_samples, m, n), changed here; ``symmetric`` chooses
-    pivots on the diagonal.
+    pivots on the diagonal. None if one of these is too small, or equations are dependent.
     """
-    (m, n), smallest = matrix.shape, np.inf
-    entries = [matrix[i, j] for i, j in zip(*matrix.sparsity().get_triplet(), strict=True)]
-    a = dict(zip(zip(*matrix.sparsity().get_triplet(), strict=True), entries, strict=True))
+    m, n = matrix.shape
+    a = {(i, j): matrix[i, j] for i, j in zip(*matrix.sparsity().get_triplet(), strict=True)}
     b = ca.vertsplit(ca.densify(right))
     rows, columns, order = set(range(m)), set(range(n)), list[tuple[int, int]]()
     for _ in range(n):
         i, j, pivot = _pivot(a, numbers, rows, columns, symmetric=symmetric)
-        if not pivot:
-            raise ModelError("batch: expected equations with one solution, found dependent ones")
-        smallest = min(smallest, pivot)
+        if (i, j) not in a or (symmetric and pivot < MIN_PIVOT_ON_DIAGONAL):
+            return None
         rows.remove(i)
         columns.remove(j)
         order.append((i, j))
@@ -427,7 +423,7 @@ def _eliminated(
             if (i, c) in a:
                 total = total - a[i, c] * value
         solution[j] = total / a[i, j]
-    return ca.vertcat(*(solution[j] for j in range(n))), smallest
+    return ca.vertcat(*(solution[j] for j in range(n)))
 
 
 def _pivot(
