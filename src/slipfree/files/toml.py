@@ -16,7 +16,7 @@ from functools import cache, lru_cache
 from itertools import pairwise
 from math import inf, pi
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, ClassVar, NamedTuple, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -25,12 +25,13 @@ from pydantic import (
     Field,
     ModelWrapValidatorHandler,
     PlainValidator,
+    ValidationError,
     ValidatorFunctionWrapHandler,
     WrapValidator,
     create_model,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from slipfree.core.arguments import MAX_NUMBER, WithUnit, degrees_question
 from slipfree.core.errors import DataError, listed, read_table, shortened, similar
@@ -451,6 +452,8 @@ class Record(BaseModel):
     """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    alternatives: ClassVar[tuple[str, ...]] = ()
+    """Keys of which a table must have exactly one."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
@@ -474,14 +477,30 @@ class Record(BaseModel):
     @model_validator(mode="wrap")
     @classmethod
     def _by_contents(cls, data: Any, handler: ModelWrapValidatorHandler[Record]) -> Record:
-        """Validate a table by the schema for its contents."""
+        """Validate a table by the schema for its contents, and by its alternatives."""
         schema = cls.schema_for(data)
-        return handler(data) if schema is cls else schema.model_validate(data)
+        if schema is not cls:
+            return schema.model_validate(data)
+        keys = cls.alternatives if isinstance(data, dict) else ()
+        present = [key for key in keys if key in data]
+        if not keys or len(present) == 1:
+            return handler(data)
+        found = " and ".join(present) or "none"
+        choice = expected_error(f"exactly one of {', '.join(keys)}", found)
+        errors: list[InitErrorDetails] = [{"type": choice, "loc": (*present[-1:],), "input": data}]
+        try:
+            handler(data)
+        except ValidationError as error:
+            for each in error.errors(include_url=False):
+                kind = PydanticCustomError(each["type"], each["msg"], each.get("ctx"))
+                errors.append({"type": kind, "loc": each["loc"], "input": each["input"]})
+        raise ValidationError.from_exception_data(cls.__name__, errors)
 
 
-def expected_error(text: str) -> PydanticCustomError:
-    """Return a validation error of pydantic with a description of the expected value."""
-    return PydanticCustomError("expected", "{words}", {"words": text})
+def expected_error(text: str, found: str = "") -> PydanticCustomError:
+    """Return an error of pydantic with the expected value, and the found one unless it is shown."""
+    context = {"words": text, "found": found} if found else {"words": text}
+    return PydanticCustomError("expected", "{words}", context)
 
 
 class AngleWithUnit(WithUnit):

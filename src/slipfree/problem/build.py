@@ -15,7 +15,7 @@ from slipfree.catalog import check_climber
 from slipfree.control.path_following import follow, straight
 from slipfree.control.step_climbing import StepClimbing, check_period, climbing, held_torques
 from slipfree.core.dae import Dae
-from slipfree.core.errors import DataError, ModelError
+from slipfree.core.errors import DataError
 from slipfree.core.facts import NOTE, Lines
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Column, Trajectory, heading_column
@@ -202,12 +202,8 @@ def build_solids(problem: Problem[S], terrain: Bicubic) -> tuple[Prism, ...]:
     prisms = list[Prism]()
     for k, spec in enumerate(problem.spec.terrain.obstacles):
         place = ("terrain", "obstacles", k)
-        kinds = [name for name in schema.KINDS if getattr(spec, name) is not None]
-        if len(kinds) != 1:
-            expected = f"one of {', '.join(schema.KINDS)}"
-            found = f"{', '.join(kinds) or 'none'}; give one of them"
-            problem.refuse(Fault(place, expected, found))
-        kind, shape = kinds[0], getattr(spec, kinds[0])
+        (kind,) = spec.model_fields_set & {*schema.KINDS}
+        shape = getattr(spec, kind)
         with at(problem, (*place, kind)):
             profile = (
                 Profile((*flat().solids, Solid(shape)))
@@ -322,19 +318,8 @@ def build_law(problem: Problem[S], driver: schema.DriverTable, dae: Dae, start: 
     """Return the inputs that the driving law of a problem computes from state and time."""
     with at(problem, ("driver",)):
         if driver.name == "straight":
-            check_without_path(driver)
             return straight(dae, start, speed=driver.speed)
         return follow(dae, Path(path_points(problem, driver)), speed=driver.speed)
-
-
-def check_without_path(driver: schema.DriverTable) -> None:
-    """Raise ModelError for the path of a driver that drives straight."""
-    if driver.path is not None or driver.file is not None:
-        key = "path" if driver.path is not None else "file"
-        raise ModelError(
-            f"driver: expected no path with name = 'straight', found the key {key!r}; use "
-            "name = 'follow', or remove the key"
-        )
 
 
 def build_climbing(problem: Problem[Any], world: World, model: Dae) -> tuple[Dae, Any]:
@@ -363,11 +348,6 @@ def level_section(world: World) -> Profile | None:
 
 def path_points(problem: Problem[S], driver: schema.DriverTable) -> Array:
     """Return the points of the path that a driving law follows, shape (n, 2) [m]."""
-    if (driver.path is None) == (driver.file is None):
-        raise ModelError(
-            "driver: name = 'follow' requires either 'path' (an array of [x, y]) or 'file', found "
-            + ("neither; give one" if driver.path is None else "both; remove one")
-        )
     if driver.path is not None:
         return np.array(driver.path)
     return np.array(read_columns(problem.folder / str(driver.file), "xy").rows())

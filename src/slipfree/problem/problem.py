@@ -105,13 +105,6 @@ def validated_problem(
     )
     schema = schema_of(data, source)
     faults = list[toml.Fault]()
-    for place, keys in schema.alternatives.items():
-        table: Any = data
-        for part in place:
-            table = table.get(part)
-        if isinstance(table, Mapping) and len(present := [k for k in keys if k in table]) != 1:
-            expected, found = f"exactly one of {', '.join(keys)}", " and ".join(present) or "none"
-            faults.append(toml.Fault((*place, *present[-1:]), expected, found))
     try:
         spec = schema.model_validate(data)
     except ValidationError as error:

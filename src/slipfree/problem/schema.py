@@ -6,13 +6,12 @@ annotated dataclasses and functions; those of one verb are in `slipfree.problem.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from math import inf
-from typing import Annotated, Any, ClassVar, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import AfterValidator, Field, PlainValidator, ValidationError, create_model
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic import AfterValidator, Field, PlainValidator, create_model
 
 from slipfree import catalog
 from slipfree.control import step_climbing
@@ -43,6 +42,7 @@ Gravity = Any  # checked by `gravity_of`
 GRAVITY = f"gravity, or the body with that gravity: {', '.join(BODIES)} [m/s^2]"
 FILE = "file"  # key of [inputs] and [given] that names a file
 STEP_CLIMBING = "step-climbing"
+PATHS = ("path", "paths", "file")  # keys of a driver that give the path to follow
 OBSTACLES: dict[str, tuple[Callable[..., Profile], str]] = {  # and their descriptions
     "ramp": (solids.ramp, "a ramp up to a plateau, which begins at x = 0"),
     "step": (solids.step, "a vertical step at x = 0 up to a plateau"),
@@ -124,6 +124,7 @@ class Obstacle(Shapes):  # type: ignore[misc]
     y: float = 0.0
     heading: toml.Angle = 0.0
     half_width: toml.Positive = inf
+    alternatives = KINDS
 
 
 class MadeGround(toml.Record):
@@ -248,6 +249,7 @@ class TerrainTable(toml.Record):
     rolled: toml.Positive | None = None
     friction: Annotated[float | str | None, PlainValidator(toml.coefficient)] = None
     obstacles: Annotated[tuple[Obstacle, ...], Field(strict=False)] = ()
+    alternatives = "file", "sample", "synthetic"
 
 
 class SoilKeys(toml.Record):
@@ -362,18 +364,13 @@ class VehicleSource(toml.Record):
     catalog: Literal[tuple(CATALOG)] | None = None  # type: ignore[valid-type]
     file: Annotated[str, Field(min_length=1)] | None = None
     actuated: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    alternatives = "catalog", "file"
 
     @classmethod
     def schema_for(cls, data: Any) -> type[toml.Record]:
         """Return the record with the keywords of the catalogue's function, if there is one."""
         if not isinstance(data, dict) or cls._keywords():
             return cls
-        if ("catalog" in data) == ("file" in data):
-            found, loc = ("catalog and file", ("file",)) if "file" in data else ("none", ())
-            context = {"words": "exactly one of catalog, file", "found": found}
-            kind = PydanticCustomError("expected", "{words}", context)
-            error = InitErrorDetails(type=kind, loc=loc, input=data)
-            raise ValidationError.from_exception_data(cls.__name__, [error])
         name = data.get("catalog")
         schema: type[toml.Record] = (
             toml.record_of(CATALOG[name], cls) if name in tuple(CATALOG) else cls
@@ -415,6 +412,18 @@ class DriverTable(toml.Record):
     speed: Annotated[float, AfterValidator(toml.not_zero)]
     path: Annotated[tuple[toml.Pair, ...], Field(strict=False)] | None = None
     file: str | None = None
+
+    def faults(self, model: str) -> Iterator[toml.Fault]:  # noqa: ARG002 - for further drivers
+        """Yield an error for each key that does not suit the name, or the model."""
+        given = [key for key in PATHS if getattr(self, key, None) is not None]
+        if self.name != "follow":
+            for key in given:
+                found = f"{key!r}; use name = 'follow', or remove the key"
+                yield toml.Fault(("driver", key), f"no path with name = {self.name!r}", found)
+        elif len(given) != 1:
+            keys = [key for key in PATHS if key in type(self).model_fields]
+            expected = f"exactly one of {', '.join(keys)} with name = 'follow'"
+            yield toml.Fault(("driver",), expected, " and ".join(given) or "none")
 
 
 class Time(toml.Record):
@@ -458,9 +467,6 @@ class Output(toml.Record):
 
 class FileKeys(toml.Record):
     """Keys of a file, with the errors of values that contradict each other."""
-
-    alternatives: ClassVar[Mapping[toml.Place, tuple[str, ...]]] = {}
-    """Keys of which exactly one is required, by table."""
 
     def faults(self) -> Iterator[toml.Fault]:
         """Yield an error for each value that contradicts another one."""
@@ -537,14 +543,12 @@ class TerrainKeys(Timed):
     terrain: TerrainTable
     start: dict[str, toml.Quantity]
 
-    alternatives: ClassVar[Mapping[toml.Place, tuple[str, ...]]] = {
-        ("terrain",): ("file", "sample", "synthetic")
-    }
-
     def faults(self) -> Iterator[toml.Fault]:
-        """Yield the errors of common keys, and an error for obstacles without dynamics."""
+        """Yield the errors of common keys and of a driver, and of obstacles without dynamics."""
         yield from super().faults()
         model, able = getattr(self, "model", "kinematics"), ("direct", "plan")
+        if driver := getattr(self, "driver", None):
+            yield from driver.faults(model)
         if self.terrain.obstacles and (self.verb not in able or model != "dynamics"):
             expected = "obstacles only with verb = 'direct' or 'plan' and model = 'dynamics'"
             found = f"verb = {self.verb!r}, model = {model!r}; change them, or remove the obstacles"
@@ -600,8 +604,9 @@ class ClimbingDriver(DriverTable):
         default=Control(), description=f"control of the wheels, with name = {STEP_CLIMBING!r}"
     )
 
-    def climbing_faults(self, model: str) -> Iterator[toml.Fault]:
-        """Yield errors of the driver of a step climber, and of its keys with another driver."""
+    def faults(self, model: str) -> Iterator[toml.Fault]:
+        """Yield the errors of paths and of a driver of a step climber."""
+        yield from super().faults(model)
         if self.name != STEP_CLIMBING:
             if "control" in self.model_fields_set:
                 found = f"{self.name!r}; change it, or remove [driver.control]"
@@ -615,7 +620,3 @@ class ClimbingDriver(DriverTable):
         if self.speed < 0:
             expected = f"a positive speed with name = {STEP_CLIMBING!r}"
             yield toml.Fault(("driver", "speed"), expected, f"{self.speed:g}; change it")
-        for key in ("path", "file"):
-            if getattr(self, key) is not None:
-                expected = f"no path with name = {STEP_CLIMBING!r}"
-                yield toml.Fault(("driver", key), expected, f"{key!r}; remove it")

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -36,7 +36,6 @@ from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import Frame, heading_column
 from slipfree.files.atlas_files import EMPTY, Site, Tiles, write_atlas, write_geotiff
 from slipfree.files.toml import Fault, Positive, Range, Record, name_errors
-from slipfree.files.toml import Place as KeyPath
 from slipfree.problem import schema
 from slipfree.problem.build import World, build_model, build_vehicle, law_name
 from slipfree.problem.build_ground import Extremes, build_ground
@@ -133,8 +132,6 @@ class AtlasKeys(schema.LawKeys, schema.CommonKeys):
     terrain: schema.TerrainTable
     vehicle: schema.VehicleSource
     atlas: AtlasTable = AtlasTable()
-
-    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = schema.TerrainKeys.alternatives
 
     def faults(self) -> Iterator[Fault]:
         """Yield errors for dynamics and obstacles."""

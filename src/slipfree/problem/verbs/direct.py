@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -16,7 +16,6 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.files.mcap import is_mcap, read_joint_commands
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml import Fault, Piecewise, PiecewiseConstantOrFile, Positive, format_value
-from slipfree.files.toml import Place as KeyPath
 from slipfree.files.urdf.links import Robot, joint_values
 from slipfree.models.montana import Difference, cross_check, montana_kinematics
 from slipfree.problem.build import (
@@ -40,7 +39,6 @@ from slipfree.problem.schema import (
     ClimbingDriver,
     Modelled,
     MotionKeys,
-    TerrainKeys,
 )
 from slipfree.problem.verbs import base
 from slipfree.solve.sampling import input_samples
@@ -172,10 +170,7 @@ class Direct(Modelled):
     driver: SampledDriver | None = None
     formulation: Literal["closure", "montana"] = "closure"
 
-    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
-        **TerrainKeys.alternatives,
-        (): ("inputs", "driver"),
-    }
+    alternatives = "inputs", "driver"
 
     def faults(self) -> Iterator[Fault]:
         """Yield errors of common keys, inputs of the wrong type, and a period without dynamics."""
@@ -184,8 +179,6 @@ class Direct(Modelled):
             expected = "a period only with model = 'dynamics'"
             found = f"model = {self.model!r}; change the model, or remove the period"
             yield Fault(("driver", "period"), expected, found)
-        if self.driver is not None:
-            yield from self.driver.climbing_faults(self.model)
         for name, value in (self.inputs or {}).items():
             if isinstance(value, str) != (name == FILE):
                 words = "a number, or an array of [time, value] pairs"

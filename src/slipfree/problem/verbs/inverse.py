@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -36,7 +36,7 @@ from slipfree.problem.build import (
 )
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
-from slipfree.problem.schema import FILE, MotionKeys, TerrainKeys
+from slipfree.problem.schema import FILE, MotionKeys
 from slipfree.problem.verbs import base
 from slipfree.solve.collocation import drive
 from slipfree.solve.replay import apply_inputs, replay, round_trip, spline_inputs, trim_states
@@ -75,6 +75,7 @@ class PathTable(toml.Record):
     y: toml.Column | None = None
     heading: toml.Angles | None = None
     file: str | None = None
+    alternatives = "t", "file"
 
 
 class Inverse(MotionKeys):
@@ -101,11 +102,7 @@ class Inverse(MotionKeys):
     path: PathTable | None = None
     steering: Literal["rate", "angle"] = "angle"
 
-    alternatives: ClassVar[Mapping[toml.Place, tuple[str, ...]]] = {
-        **TerrainKeys.alternatives,
-        (): ("given", "path"),
-        ("path",): ("t", "file"),
-    }
+    alternatives = "given", "path"
 
     def faults(self) -> Iterator[toml.Fault]:
         """Yield the errors of values that contradict each other, such as arrays of a path."""

@@ -88,6 +88,16 @@ class GuideTable(schema.ClimbingDriver):
     ] = None
     count: Annotated[int, Field(ge=1, le=100)] = 1
 
+    def faults(self, model: str) -> Iterator[toml.Fault]:
+        """Yield the errors of paths, of a step climber, and of the keys of other laws."""
+        yield from super().faults(model)
+        if self.name == "reeds-shepp" and self.speed < 0:
+            expected = f"a positive speed with name = {self.name!r}, which chooses the gears"
+            yield toml.Fault(("driver", "speed"), expected, f"{self.speed:g}; change its sign")
+        if self.count > 1 and self.name != "route":
+            found = f"{self.name!r}; change it, or remove 'count'"
+            yield toml.Fault(("driver", "name"), "'route' with several routes, 'count'", found)
+
 
 class KeepOut(schema.RegionTable):
     """A region that no wheel may touch: a disc or a polygon.
@@ -258,11 +268,9 @@ class PlanKeys(schema.Modelled):
             if self.time.duration == inf:
                 expected = "the duration of the initial guess by [inputs]"
                 yield toml.Fault(("time", "duration"), expected, "none; add it, or remove [inputs]")
-        if driver is not None:
-            yield from driver.climbing_faults(self.model)
-            if driver.name == STEP_CLIMBING and not self.terrain.obstacles:
-                expected = f"solids, [[terrain.obstacles]], with name = {STEP_CLIMBING!r}"
-                yield toml.Fault(("driver", "name"), expected, "none; add one")
+        if driver and driver.name == STEP_CLIMBING and not self.terrain.obstacles:
+            expected = f"solids, [[terrain.obstacles]], with name = {STEP_CLIMBING!r}"
+            yield toml.Fault(("driver", "name"), expected, "none; add one")
         if (search.intervals or 0) > MAX_INTERVALS:
             found = f"{search.intervals}; reduce it, or divide a long plan with 'window'"
             yield toml.Fault(("plan", "intervals"), f"at most {MAX_INTERVALS} intervals", found)
@@ -399,28 +407,6 @@ def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
         missing = " and ".join(name for name in ("x", "y") if name not in goal)
         found = f"{'only ' if goal else ''}{', '.join(goal) or 'none'}; add {missing}"
         problem.refuse(toml.Fault(("goal",), "values for x and y, which the driver needs", found))
-
-
-def _check_cusps(problem: Problem[PlanKeys], driver: GuideTable, places: tuple[Place, ...]) -> None:
-    """Raise an error for keys that do not suit a driver along a path with cusps."""
-    _check_goal_place(problem, places)
-    if len(places) > 2:
-        raise ModelError(
-            "driver: expected way-points without x and y for name = 'reeds-shepp', found "
-            f"{len(places) - 2} with them; remove x and y from [[way_points]]"
-        )
-    if driver.speed < 0:
-        raise ModelError(
-            "driver: expected a positive speed with name = 'reeds-shepp', which chooses the gears, "
-            f"found {driver.speed:g} m/s; change its sign"
-        )
-    if driver.path or driver.file or driver.paths or driver.count > 1:
-        others = [key for key in ("path", "file", "paths") if getattr(driver, key)]
-        others += ["count"] if driver.count > 1 else []
-        raise ModelError(
-            "driver: expected only 'speed' and 'turning_radius' with name = 'reeds-shepp', found "
-            f"also {', '.join(map(repr, others))}; remove {'it' if len(others) == 1 else 'them'}"
-        )
 
 
 def regions(problem: Problem[PlanKeys]) -> tuple[Region, ...]:
@@ -605,20 +591,17 @@ def _guesses(
         radius = turning_radius(trip.vehicle) if radius is None else radius
         paths: tuple[Array, ...] = ()  # given ones, or routes over the ground
         with at(problem, ("driver",)):
-            if driver.name == "straight":
-                build.check_without_path(driver)
-            elif driver.name == "reeds-shepp":
-                _check_cusps(problem, driver, places)
-            elif driver.name == "follow" and driver.paths is None:
-                paths = (build.path_points(problem, driver),)
+            if driver.name == "reeds-shepp":
+                _check_goal_place(problem, places)
+                if between := len(places) - 2:
+                    expected = "way-points without x and y for name = 'reeds-shepp'"
+                    found = f"{between} with them; remove x and y from [[way_points]]"
+                    problem.refuse(toml.Fault(("driver", "name"), expected, found))
+            elif driver.paths is not None:
+                paths = tuple(map(np.array, driver.paths))
             elif driver.name == "follow":
-                if driver.path is not None or driver.file is not None:
-                    raise ModelError(
-                        "driver: expected one of 'path', 'paths' and 'file', found several of "
-                        "them; keep one"
-                    )
-                paths = tuple(np.array(path) for path in driver.paths or ())
-            else:
+                paths = (build.path_points(problem, driver),)
+            elif driver.name == "route":
                 _check_goal_place(problem, places)
                 count = max(driver.count, spec.plan.starts if len(places) == 2 else 1)
                 ends = np.array([place[1:] for place in places])
