@@ -198,6 +198,8 @@ def test_a_vehicle_stands_on_a_slope_until_it_tips_over(heading, arm):
     run, slope = sf.settle(models[0], heading=heading), np.arctan(0.85 * arm / HIGH)
     assert np.hypot(run["roll"][0], run["pitch"][0]) == pytest.approx(slope, abs=0.01)
     assert run["load_share"].min() == pytest.approx(0.15 * np.cos(slope), abs=0.02 * RADIUS / arm)
+    best = best_utilisation(ROBOT, sf.Analytic(lambda x, _: 0.85 * arm / HIGH * x + 9), run)
+    assert best["utilisation_best"][0] == pytest.approx(np.tan(slope), rel=1e-7)
     refuses(ModelError, "tips over at the start, .* gentler", sf.settle, models[1], heading=heading)
 
 
@@ -207,7 +209,6 @@ def test_a_vehicle_stands_on_a_slope_until_it_tips_over(heading, arm):
         ("rolling without slip", lambda: sf.direct_kinematics(ROBOT, HILLS, slip=sf.Rolling())),
         ("quasi-static model", lambda: sf.quasi_statics(ROBOT, HILLS, law=sf.Coulomb())),
         ("Montana's form", lambda: montana_kinematics(ROBOT, HILLS)),
-        ("best friction utilisation", lambda: best_utilisation(ROBOT, HILLS, None)),
     ],
 )
 def test_models_of_exact_contact_refuse_rigid_vehicles_by_name(name, build):

@@ -15,7 +15,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.closure import ContactFrame, check_exact_closure
+from slipfree.contact.closure import ContactFrame
 from slipfree.core.dae import Labels
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.core.quantities import quantity_label
@@ -179,7 +179,9 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     wheels, minimised over all distributions; above one, friction cannot hold the vehicle. It is
     infinite where no contact forces balance the vehicle, because the vehicle tips over or a wheel
     or joint is free to move. It is NaN where the optimisation does not converge, or where the
-    friction is not positive or a value is not finite.
+    friction is not positive or a value is not finite. The loads of
+    pressed wheels follow from their depths, which are assumed: they are distributed as well, among
+    all wheels.
 
     Parameters
     ----------
@@ -193,15 +195,9 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     Raises
     ------
     ModelError
-        If the vehicle has no mass, if not all of its wheels can touch a rigid ground, or if the
-        motion lacks a coordinate or a rate.
+        If the vehicle has no mass, or if the motion lacks a coordinate or a rate.
     """
     base.check_mass(vehicle, "best friction utilisation")
-    check_exact_closure(
-        vehicle,
-        "best friction utilisation",
-        "use 'utilisation', which holds for the loads of pressed wheels",
-    )
     labels = base.labels_of(vehicle)
     required = labels.x, labels.z.position, labels.z.rates.motion, labels.u
     _, q = closure_quantities(vehicle, terrain, labels)

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, get_args
 import numpy as np
 from typing_extensions import TypeVar
 
-from slipfree.contact.closure import has_exact_closure
 from slipfree.core.errors import DataError
 from slipfree.core.facts import Fact, Facts, Lines, Row, lines, rows
 from slipfree.core.quantities import QUANTITIES, extremes, joint_angles
@@ -345,7 +344,7 @@ class DriveVerb(Verb, ABC):
             diagnostics["filled_ground"] = with_filled
         diagnostics[OBSTACLES] = with_ending
         diagnostics[CLOSEST] = lambda run: run.with_facts(closest_fact(vehicle, setup.terrain, run))
-        has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
+        has_choice = vehicle.mass and not is_determinate(vehicle)
         if has_choice and "kinetic_energy" not in run:  # dynamics has one distribution of forces
             diagnostics[BEST.name] = partial(best_utilisation, vehicle, setup.terrain)
         law = model_law(problem) if isinstance(problem.spec, Modelled) else None
@@ -490,7 +489,7 @@ def drive_facts(run: Trajectory) -> dict[str, Fact]:
     if "body_load" in run:
         facts["body_on_ground"] = Fact(float((run["body_load"] > 0).mean()), "1")
     if "utilisation_largest" in facts:
-        facts["friction"] = Fact(_friction(run, facts["utilisation_largest"]))
+        facts["friction"] = Fact(_friction(run, facts))
     if has_pressed_wheels(run):
         facts |= _pressed_facts(run)
     model, law = run.attributes.get("model"), run.attributes.get("law", "least")
@@ -544,19 +543,30 @@ def _pressed_facts(run: Trajectory) -> dict[str, Fact]:
     }
 
 
-def _friction(run: Trajectory, used: Fact) -> str:
-    """Return the largest utilisation of friction, or without friction the coefficient needed."""
-    where = f"{used:.4g} at most ({used.words})"
+def _friction(run: Trajectory, facts: Facts) -> str:
+    """Return the largest utilisation of friction, or without friction the coefficient needed.
+
+    A wheel that bears almost no load can need much more friction than the vehicle: its load is
+    stated. If the forces are indeterminate, only the best distribution of them proves that friction
+    is not sufficient.
+    """
+    used, best = facts["utilisation_largest"], facts.get("utilisation_best_largest")
+    k, wheel = np.unravel_index(np.nanargmax(run["utilisation"]), run["utilisation"].shape)
+    load = f" under {run['force_normal'][k, wheel]:.3g} N, t = "
+    where = f"{used:.4g} at most ({used.words.replace(', t = ', load)})"
+    others = "" if best is None else f"; {best:.4g} at most in the best distribution"
     if "ground_friction" not in run.attributes:
-        return f"coefficient needed {where}; none is given for the ground (terrain.friction)"
+        return (
+            f"coefficient needed {where}{others}; none is given for the ground (terrain.friction)"
+        )
     spread = ", for the forces that this motion needs"
-    if "utilisation_best" in run.columns:
-        spread += ", distributed by load"
     if run.attributes.get("model") in ("quasi-static", "dynamics"):
         spread = f" by the law {run.attributes['law']!r}"
     enough = "" if used.value <= 1 else "; friction is not sufficient for this motion"
+    if best is not None and best.value <= 1 < used.value:
+        enough = ": friction can be sufficient"
     coefficient = run.attributes["ground_friction"]
-    return f"utilisation {where}, of a coefficient of {coefficient}{spread}{enough}"
+    return f"utilisation {where}, of a coefficient of {coefficient}{spread}{others}{enough}"
 
 
 def _certificate(run: Trajectory, facts: Mapping[str, Fact]) -> str:
