@@ -136,7 +136,13 @@ def made(model: type[BaseModel], rng: Random) -> Table:
     for name, field in model.model_fields.items():
         if field.is_required() or rng.random() < 0.25:
             found[name] = _made(field.annotation, field.metadata, rng)
-    return found
+    return _of_one_kind(model, found)
+
+
+def _of_one_kind(model: Any, table: Table) -> Table:
+    """Return a table with the first of those keys that exclude each other."""
+    given = [key for key in getattr(model, "alternatives", ()) if key in table]
+    return {key: value for key, value in table.items() if key not in given[1:]}
 
 
 def _made(hint: Any, facts: list[Any], rng: Random) -> Any:
@@ -254,12 +260,7 @@ def _merged(kind: str, data: Table, rng: Random) -> Table:
     drawn_ = made(SCHEMAS[kind], rng) | {"verb": kind}
     found = {key: value for key, value in data.items() if rng.random() < 0.8}
     found |= {key: value for key, value in drawn_.items() if key not in found or rng.random() < 0.2}
-    for place, keys in SCHEMAS[kind].alternatives.items():
-        table = found if not place else found.get(place[0])
-        given = [key for key in keys if isinstance(table, dict) and key in table]
-        for key in given[1:]:
-            table.pop(key)
-    return found
+    return _of_one_kind(SCHEMAS[kind], found)
 
 
 def _deep(rng: Random) -> bytes:
