@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 import casadi as ca
 import numpy as np
 import pytest
-from annotated_types import Gt, Unit, doc
+from annotated_types import Gt, Unit
 from numpy.testing import assert_allclose
 
 from helpers.commands import printed, sets
@@ -30,9 +30,15 @@ from slipfree.vehicle.tree import Vehicle
 
 @dataclass(frozen=True)
 class WeightedSlip:
-    """Least slip with a weight for the slip across the wheels."""
+    """Least slip with a weight for the slip across the wheels.
 
-    across: Annotated[float, Gt(0), Unit("1"), doc("weight of squared slip across the wheels")]
+    Attributes
+    ----------
+    across : float
+        Weight of squared slip across the wheels. [1]
+    """
+
+    across: Annotated[float, Gt(0), Unit("1")]
 
     def check(self, vehicle: Vehicle) -> None:
         """Accept every vehicle."""
@@ -58,9 +64,15 @@ class Loads(NamedTuple):
 
 @dataclass(frozen=True)
 class Viscous:
-    """Force against the slip, in proportion to slip and load."""
+    """Force against the slip, in proportion to slip and load.
 
-    drag: Annotated[float, Gt(0), Unit("s/m"), doc("force for each newton of load and m/s")] = 100.0
+    Attributes
+    ----------
+    drag : float
+        Force for each newton of load and m/s. [s/m]
+    """
+
+    drag: Annotated[float, Gt(0), Unit("s/m")] = 100.0
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:
         """Accept every vehicle and ground."""

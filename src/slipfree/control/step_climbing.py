@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple, Protocol
 
 import casadi as ca
-from annotated_types import Ge, Gt, Lt, Unit, doc
+from annotated_types import Ge, Gt, Unit
 
 from slipfree.catalog import check_climber
 from slipfree.control.path_following import driven_vehicle
@@ -47,6 +47,7 @@ from slipfree.core.rearrange import (
     with_outputs,
 )
 from slipfree.core.records import Label, leaves, symbols
+from slipfree.core.schema import KEY, NonNegative
 from slipfree.models.limits import UPRIGHT
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import Vehicle
@@ -286,39 +287,40 @@ class StepClimbing:
     The laws are those of `slipfree.control.step_climbing.reference`, the gains those of (17).
     True directions of the contacts are known only in simulations; a ``share`` below one simulates
     directions that are estimated too small. The paper has no anti-windup.
+
+    Attributes
+    ----------
+    law : {"projective", "fixed", "printed_6_8", "printed_14", "printed_16"}
+        Law of the axles' reference speeds.
+    directions : {"contact", "sensors"}
+        Directions of the axles' motion: estimated from sensors, or true directions of the contacts.
+    share : float
+        Factor that multiplies the true directions of the contacts. [1]
+    cap : float
+        Largest reference speed of an axle relative to the vehicle's speed. [1]
+    proportional : float
+        Proportional gain of the wheel-rate control. [N m s/rad]
+    integral : float
+        Integral gain of the wheel-rate control. [N m/rad]
+    torque : float
+        Largest torque of a motor. [N m]
+    motors : tuple of 3 int
+        Numbers of wheels on the rear, middle and front axle, with one motor each.
+
+    Raises
+    ------
+    ModelError
+        If a number is out of its range, or an axle has no motor.
     """
 
-    law: Annotated[Law, doc("law of the axles' reference speeds")] = "projective"
-    directions: Annotated[
-        Directions,
-        doc(
-            "directions of the axles' motion: estimated from sensors, or true directions of the "
-            "contacts"
-        ),
-    ] = "sensors"
-    share: Annotated[
-        float,
-        Ge(0),
-        Lt(math.inf),
-        Unit("1"),
-        doc("factor that multiplies the true directions of the contacts"),
-    ] = 1.0
-    cap: Annotated[
-        float,
-        Ge(1),
-        Unit("1"),
-        doc("largest reference speed of an axle relative to the vehicle's speed"),
-    ] = 1.5
-    proportional: Annotated[
-        float, Gt(0), Unit("N m s/rad"), doc("proportional gain of the wheel-rate control")
-    ] = 4.0
-    integral: Annotated[
-        float, Gt(0), Unit("N m/rad"), doc("integral gain of the wheel-rate control")
-    ] = 40.0
-    torque: Annotated[float, Gt(0), Unit("N m"), doc("largest torque of a motor")] = math.inf
-    motors: Annotated[
-        Motors, doc("numbers of wheels on the rear, middle and front axle, with one motor each")
-    ] = (2, 1, 2)
+    law: Annotated[Law, KEY] = "projective"
+    directions: Annotated[Directions, KEY] = "sensors"
+    share: Annotated[NonNegative, Unit("1")] = 1.0
+    cap: Annotated[float, Ge(1), Unit("1")] = 1.5
+    proportional: Annotated[float, Gt(0), Unit("N m s/rad")] = 4.0
+    integral: Annotated[float, Gt(0), Unit("N m/rad")] = 40.0
+    torque: Annotated[float, Gt(0), Unit("N m")] = math.inf
+    motors: Annotated[Motors, KEY] = (2, 1, 2)
 
     def __post_init__(self) -> None:
         if min(self.motors) < 1:

@@ -1,8 +1,8 @@
 """Schema of dataclasses and functions: bounds and units of numbers, as annotations, and meanings.
 
 A key is a field of a dataclass or a parameter of a function with such an annotation. Its meaning is
-that in the docstring, unless an annotation has another one. Checks of bounds, tables of TOML files,
-their reference pages and completion are made from `keys_of`.
+that in the docstring. Checks of bounds, tables of TOML files, their reference pages and completion
+are made from `keys_of`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import MISSING, fields, is_dataclass
 from math import inf
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
-from annotated_types import DocInfo, Ge, Gt, Le, Lt, Unit
+from annotated_types import Ge, Gt, Le, Lt, Unit
 
 from slipfree.core.errors import descriptions
 
@@ -30,6 +30,8 @@ Mass = Annotated[NonNegative, Unit("kg")]
 Force = Annotated[Finite, Unit("N")]
 Factor = Annotated[Positive, Unit("1")]
 Stiffness = Annotated[Positive, Unit("N/m")]
+KEY = "key"  # annotates a field without bounds and unit, so that it is a key
+Flag = Annotated[bool, KEY]
 JointConstant = NonNegative  # of springs, dampers and stops: units depend on the joint
 
 BOUNDS: dict[str, tuple[str, Callable[[Any, float], Any]]] = {
@@ -67,9 +69,8 @@ def keys_of(kind: Callable[..., Any]) -> tuple[Key, ...]:
     known, keys = meanings(kind), list[Key]()
     for name, default in defaults.items():
         notes = getattr(hints[name], "__metadata__", ())
-        first = re.split(r"\. | \[[^][]*\]$", known.get(name, ""))[0]
         unit = next((note.unit for note in notes if isinstance(note, Unit)), "")
-        meaning = next((note.documentation for note in notes if isinstance(note, DocInfo)), first)
+        meaning = re.split(r"\. | \[[^][]*\]$", known.get(name, ""))[0]
         keys.append(Key(name, hints[name], default, unit, meaning))
     return tuple(keys)
 

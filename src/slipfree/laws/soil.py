@@ -60,13 +60,14 @@ from typing import Annotated, Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import casadi as ca
 import numpy as np
-from annotated_types import Ge, Gt, Le, Lt, Unit, doc
+from annotated_types import Ge, Gt, Le, Lt, Unit
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Limit
 from slipfree.core.errors import ModelError, read_table
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array
+from slipfree.core.schema import Flag
 from slipfree.geometry.regions import Region
 from slipfree.laws.coulomb import creep_continuation, no_equilibrium
 from slipfree.laws.protocols import (
@@ -300,9 +301,7 @@ class Soil:
     grouser_height: Annotated[float, Ge(0), Lt(inf), Unit("m")] = 0.0
     damping_ratio: Annotated[float, Ge(0), Le(10), Unit("1")] = 0.5
     creep: Annotated[float, Gt(0), Le(1), Unit("m/s")] = 1e-3
-    coupled_shear: Annotated[
-        bool, doc("whether the resultant of the shear stresses is limited, not each of them")
-    ] = False
+    coupled_shear: Flag = False
     regions: tuple[SoilRegion, ...] = ()
 
     def __post_init__(self) -> None:

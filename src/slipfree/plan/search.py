@@ -9,7 +9,7 @@ from operator import attrgetter
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Unit, doc
+from annotated_types import Ge, Gt, Le, Unit
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
@@ -76,10 +76,11 @@ class Search:
     Attributes
     ----------
     starts : int
-        Number of initial guesses to try if fewer are given. Further guesses are simulated with the
-        inputs of the first guess: first with negated inputs if the bounds allow it, then with
-        randomly perturbed inputs. A guess whose motion ends too early is omitted. ``Plan.optima``
-        lists the plans from all guesses.
+        Number of starts, in parallel processes: routes, the guess, reversed gears, perturbed
+        inputs; the verified plan of least cost is returned. Guesses beyond those that are given are
+        simulated with the inputs of the first one: first with negated inputs if the bounds allow
+        it, then with randomly perturbed inputs. A guess whose motion ends too early is omitted.
+        ``Plan.optima`` lists the plans from all guesses.
     seed : int
         Seed of the random perturbations.
     resume : SavedPlan or None
@@ -103,15 +104,7 @@ class Search:
         If a number is out of its range.
     """
 
-    starts: Annotated[
-        int,
-        Ge(1),
-        Le(1000),
-        doc(
-            "number of starts, in parallel processes: routes, the guess, reversed gears, perturbed "
-            "inputs; the verified plan of least cost is returned"
-        ),
-    ] = 1
+    starts: Annotated[int, Ge(1), Le(1000)] = 1
     seed: Annotated[int, Ge(0)] = 0
     seconds: Annotated[float, Gt(0), Unit("s")] = math.inf
     resume: SavedPlan | None = None

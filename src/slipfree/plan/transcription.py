@@ -14,12 +14,13 @@ from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from annotated_types import Ge, Gt, Le, Unit, doc
+from annotated_types import Ge, Gt, Le, Unit
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.lookups import evaluate, found_column, needed_lookups, substitute_lookups
 from slipfree.core.records import Array, Label, Mask, field_overview, leaves
+from slipfree.core.schema import Flag
 from slipfree.plan.sparse_assembly import Index as Index
 from slipfree.plan.sparse_assembly import NlpBlock, assemble, nlp_block
 from slipfree.plan.stage import Cost, StageFunctions, stage_functions
@@ -87,9 +88,7 @@ class Mesh:
 
     intervals: Annotated[int | None, Ge(1)] = None
     degree: Annotated[int, Ge(1), Le(5)] = 3
-    continuous: Annotated[
-        bool, doc("whether inputs are continuous and linear on intervals; otherwise constant")
-    ] = True
+    continuous: Flag = True
     accuracy: Annotated[float, Gt(0), Le(1), Unit("m, rad")] = 1e-3
     step: Annotated[float, Gt(0), Unit("s")] = SAMPLE_STEP
 

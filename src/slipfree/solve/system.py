@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
-from annotated_types import Ge, Le, Unit, doc
+from annotated_types import Ge, Le, Unit
 
 from slipfree.core.arguments import check_finite, checked
 from slipfree.core.dae import Dae, PiecewiseLinear
@@ -33,6 +33,7 @@ from slipfree.core.lookups import (
 )
 from slipfree.core.newton import ROUNDING, solve_equations, solve_linear
 from slipfree.core.records import Array, Label, Record, leaves, pack, unpack
+from slipfree.core.schema import Flag
 from slipfree.system.codegen_cache import compiled_functions, load_or_compile, source
 
 MIN_TOLERANCE = 1e-14  # rounding dominates below it
@@ -73,13 +74,7 @@ class SolverOptions:
 
     tolerance: Annotated[float, Ge(MIN_TOLERANCE), Le(MAX_TOLERANCE), Unit("1")] = 1e-8
     method: Method | None = None
-    compiled: Annotated[
-        bool,
-        doc(
-            "whether to compile the equations; a first compilation takes seconds, its result is "
-            "cached"
-        ),
-    ] = False
+    compiled: Flag = False
 
 
 # one forward derivative per column: with as many states as rates, fewer operations than reverse

@@ -15,7 +15,7 @@ from typing import Annotated
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from annotated_types import Ge, Gt, Le, Unit, doc
+from annotated_types import Ge, Gt, Le, Unit
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
@@ -468,10 +468,7 @@ def flat() -> Profile:
 
 
 @checked
-def ramp(
-    angle: Annotated[float, Gt(0), Le(math.pi / 2), Unit("rad"), doc("angle of the ramp")],
-    height: Annotated[Length, doc("height of the plateau")],
-) -> Profile:
+def ramp(angle: Annotated[float, Gt(0), Le(math.pi / 2), Unit("rad")], height: Length) -> Profile:
     """Return a floor with a ramp to a plateau, from x = 0 on.
 
     Parameters
@@ -506,8 +503,13 @@ def ramp(
 
 
 @checked
-def step(height: Annotated[Length, doc("height of the plateau")]) -> Profile:
-    """Return a floor with a step to a plateau of a given height [m], at x = 0.
+def step(height: Length) -> Profile:
+    """Return a floor with a step to a plateau, at x = 0.
+
+    Parameters
+    ----------
+    height : float
+        Height of the plateau. [m]
 
     Raises
     ------
@@ -518,11 +520,15 @@ def step(height: Annotated[Length, doc("height of the plateau")]) -> Profile:
 
 
 @checked
-def kerb(
-    height: Annotated[Length, doc("height of the block")],
-    length: Annotated[Length, doc("length of the block along x")],
-) -> Profile:
-    """Return a floor with a block of a given height and length [m] from x = 0 on.
+def kerb(height: Length, length: Length) -> Profile:
+    """Return a floor with a block from x = 0 on.
+
+    Parameters
+    ----------
+    height : float
+        Height of the block. [m]
+    length : float
+        Length of the block along x. [m]
 
     Raises
     ------
@@ -533,17 +539,15 @@ def kerb(
 
 
 @checked
-def stairs(
-    height: Annotated[Length, doc("height of a step")],
-    depth: Annotated[Length, doc("depth of a step along x")],
-    count: Annotated[int, Ge(1), Le(1000), doc("number of steps")],
-) -> Profile:
+def stairs(height: Length, depth: Length, count: Annotated[int, Ge(1), Le(1000)]) -> Profile:
     """Return a floor with stairs from x = 0 on; the last step is a plateau.
 
     Parameters
     ----------
-    height, depth : float
-        Height and depth of a step. [m]
+    height : float
+        Height of a step. [m]
+    depth : float
+        Depth of a step along x. [m]
     count : int
         Number of steps.
 

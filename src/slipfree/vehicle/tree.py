@@ -6,12 +6,11 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
-from annotated_types import Ge, Gt, Lt, Unit, doc
+from annotated_types import Gt, Unit
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, listed, read_table, similar
@@ -126,8 +125,10 @@ class Motor(Drive):
         Largest effort, at the output of the gear. [N m]
     no_load : float
         Rate at which the effort vanishes. [rad/s]
-    kp, ki : float
-        Gains of the controller. [N m s/rad, N m/rad]
+    kp : float
+        Proportional gain. [N m s/rad]
+    ki : float
+        Integral gain. [N m/rad]
     rotor_inertia : float
         Moment of inertia of the rotor, times the square of the gear ratio. [kg m^2]
 
@@ -138,13 +139,11 @@ class Motor(Drive):
     """
 
     has_integral: ClassVar[bool] = True
-    stall: Annotated[float, Gt(0), Lt(inf), Unit("N m"), doc("largest effort, behind the gear")]
-    no_load: Annotated[float, Gt(0), Lt(inf), Unit("rad/s"), doc("rate without effort")]
-    kp: Annotated[float, Gt(0), Lt(inf), Unit("N m s/rad"), doc("proportional gain")]
-    ki: Annotated[float, Ge(0), Lt(inf), Unit("N m/rad"), doc("integral gain")] = 0.0
-    rotor_inertia: Annotated[
-        float, Ge(0), Lt(inf), Unit("kg m^2"), doc("inertia of the rotor, behind the gear")
-    ] = 0.0
+    stall: Annotated[Positive, Unit("N m")]
+    no_load: Annotated[Positive, Unit("rad/s")]
+    kp: Annotated[Positive, Unit("N m s/rad")]
+    ki: Annotated[NonNegative, Unit("N m/rad")] = 0.0
+    rotor_inertia: Annotated[NonNegative, Unit("kg m^2")] = 0.0
 
     @property
     def added_inertia(self) -> float:

@@ -12,10 +12,10 @@ from pathlib import PurePath
 from typing import Annotated, Any, Literal, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
-from annotated_types import doc
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from slipfree.core.records import Array
+from slipfree.core.schema import KEY
 from slipfree.files.toml import NonNegative, Positive, Record, decoded, given_values
 from slipfree.files.urdf.evidence import WHEEL, Evidence, Plugin
 from slipfree.files.vehicle_toml import (
@@ -396,17 +396,39 @@ class JointRole(Record):
 
 @dataclass(frozen=True)
 class WheelRole:
-    """Table of a wheel in a file that completes a URDF; None keeps a property of the URDF."""
+    """Table of a wheel in a file that completes a URDF; None keeps a property of the URDF.
 
-    driven: Annotated[bool | None, doc("None to derive it from actuators, or guess it")] = None
-    radius: Annotated[Length | None, doc("rolling radius; None for that of the shape [m]")] = None
-    tube: Annotated[NonNegative | None, doc("tube radius; None for that of the shape [m]")] = None
-    grip: Annotated[Positive, doc("factor of the ground's coefficient of friction [1]")] = 1.0
-    rollers: Annotated[Rollers, doc("angle [rad]; False without; None for a guess")] = None
-    mass: Annotated[NonNegative | None, doc("[kg]")] = None
-    inertia: Annotated[WheelInertia | None, doc("about the axle and across it [kg m^2]")] = None
-    static_depth: Annotated[Length | None, doc("as in `slipfree.vehicle.tree.Wheel` [m]")] = None
-    drive: Annotated[DriveTable, doc("drive, for dynamics")] = RATE
+    Attributes
+    ----------
+    driven : bool or None
+        None to derive it from actuators, or guess it.
+    radius : float or None
+        Rolling radius; None for that of the shape. [m]
+    tube : float or None
+        Tube radius; None for that of the shape. [m]
+    grip : float
+        Factor of the ground's coefficient of friction. [1]
+    rollers : float or bool or None
+        Angle of rollers; False without; None for a guess. [rad]
+    mass : float or None
+        Mass; None for that of the link. [kg]
+    inertia : tuple of 2 floats or None
+        Moments of inertia about the axle and across it; None for those of the link. [kg m^2]
+    static_depth : float or None
+        As in `slipfree.vehicle.tree.Wheel`. [m]
+    drive : Drive
+        Drive, for dynamics.
+    """
+
+    driven: Annotated[bool | None, KEY] = None
+    radius: Annotated[Length | None, KEY] = None
+    tube: Annotated[NonNegative | None, KEY] = None
+    grip: Annotated[Positive, KEY] = 1.0
+    rollers: Annotated[Rollers, KEY] = None
+    mass: Annotated[NonNegative | None, KEY] = None
+    inertia: Annotated[WheelInertia | None, KEY] = None
+    static_depth: Annotated[Length | None, KEY] = None
+    drive: Annotated[DriveTable, KEY] = RATE
 
 
 class LinkRole(Record):
