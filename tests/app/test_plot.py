@@ -544,7 +544,8 @@ def test_places_are_marked_by_name(run_plan, ax):
     assert (*patch.get_xy(), patch.get_width(), patch.get_height()) == (10.0, 20.0, 4.0, 6.0)
 
 
-MARKS = {"keep_out": [Region.disc(6.5, 8.0, 0.2)], "places": (START, GOAL)}
+WANTED = np.array([START[1:], GOAL[1:]])
+MARKS = {"keep_out": [Region.disc(6.5, 8.0, 0.2)], "places": (START, GOAL), "wanted": WANTED}
 
 
 def test_map_shows_regions_and_places_of_a_plan(run_plan, grid_plan):
@@ -552,7 +553,7 @@ def test_map_shows_regions_and_places_of_a_plan(run_plan, grid_plan):
     for ax in plots.draw(found[:1])["map"].axes[:1]:
         (goal,) = (line for line in ax.lines if line.get_label() == "goal")
         assert goal.get_xydata()[0] == pytest.approx(GOAL[1:])
-        assert "keep-out region" in labels(ax)
+        assert {"keep-out region", "path to follow"} <= {*labels(ax)}
         assert labels(ax).count("start") == 0  # the path marks it
 
 

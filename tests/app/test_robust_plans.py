@@ -31,10 +31,7 @@ PLAIN = (  # straight ahead on even ground, at least effort: to the nearest admi
     "plan.intervals=4",
     "plan.duration=8.0",
 )
-FLAT = (
-    *PLAIN,
-    f"plan.robust={{inputs={GAIN}, share=0.8, draws=12, final_draws=12}}",
-)
+FLAT = (*PLAIN, f"plan.robust={{inputs={GAIN}, share=0.8, draws=12, final_draws=12}}")
 NEAR = ("goal={x=0.3, y=1.0}", "plan.duration=8.0", "plan.intervals=12")
 
 

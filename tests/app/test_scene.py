@@ -29,6 +29,7 @@ from slipfree.show.html_page import with_legend
 from slipfree.show.meshes import MOST, clipped, extruded, plate, rod, roller_axles, spokes
 from slipfree.show.scene import Driven, drive_scene
 from slipfree.vehicle.sections import Disc, Torus
+from slipfree.vehicle.tree import Joint
 
 PROBLEM = (DATA / "scene_of_a_hill.toml").read_text() + rough_ground(
     "[-6, 6]", "[-6, 6]", 0.25, "rms = 0.1, longest = 8.0, shortest = 2.0", 11
@@ -440,8 +441,9 @@ def test_meshes_of_a_urdf_are_drawn(tmp_path: Path) -> None:
     text = (Path(__file__).parents[1] / "data" / "cart.urdf").read_text(encoding="utf-8")
     body = '<link name="base_link">\n    <visual><origin xyz="0.1 0 0.2"/><geometry>'
     body += '<mesh filename="body.stl" scale="0.5 0.5 0.5"/></geometry></visual>'
-    wheel = '<link name="left_wheel">\n    <visual><geometry><mesh filename="wheel.stl"/>'
-    wheel += "</geometry></visual>"
+    wheel = (
+        '<link name="left_wheel"><visual><geometry><mesh filename="wheel.stl"/></geometry></visual>'
+    )
     text = text.replace('<link name="base_link">', body).replace('<link name="left_wheel">', wheel)
     fork = '"fork"><collision><geometry><sphere radius="0.01"/></geometry></collision>'
     (tmp_path / "cart.urdf").write_text(text.replace('"fork">', fork), encoding="utf-8")
@@ -467,3 +469,11 @@ def test_meshes_of_a_urdf_are_drawn(tmp_path: Path) -> None:
     assert_allclose(forward, bodies["platform"].rotations[:, :, 1], atol=1e-9)
     (plain,) = drive_scene([found._replace(robot=None)]).actors
     assert len(plain.bodies[0].meshes[0][0].vertices) % 32 == 0  # rods, without a plate
+    base, onto = Joint("base", "platform", "x", (0.0, 0.0, 0.0), "0"), {"platform": "base"}
+    joints, wheels = (
+        [replace(each, parent=onto.get(each.parent, each.parent)) for each in kind]
+        for kind in (found.vehicle.joints, found.vehicle.wheels)
+    )
+    empty = replace(found.vehicle, joints=(base, *joints), wheels=tuple(wheels))
+    (moved_actor,) = drive_scene([found._replace(vehicle=empty)]).actors
+    assert moved_actor.bodies[0].name == "platform"  # which has no shapes

@@ -148,10 +148,7 @@ def tested(tmp_path):
     path = tmp_path / "sand.toml"
     path.write_text(FIT)
     true = Soil(
-        friction_angle=radians(30),
-        shear_along=0.02,
-        shear_along_rate=0.0,
-        shear_across_rate=0.0,
+        friction_angle=radians(30), shear_along=0.02, shear_along_rate=0.0, shear_across_rate=0.0
     )
     lines = ["run,rim_speed [mm/s],speed [mm/s],slip_angle [deg],pull,sinkage [mm]"]
     for run, rim in enumerate((5, 8, 12, 16, 20, 30)):

@@ -26,13 +26,6 @@ def largest_tilt(run):
     return max(np.abs(run["tilt_right"]).max(), np.abs(run["tilt_left"]).max())
 
 
-def cross_track(run, path):
-    """Distance of every sample from the nearest point of a path."""
-    places = path.at(np.linspace(0, path.length, 20001))
-    steps = np.abs(run["x"][:, None] - places.x) ** 2 + np.abs(run["y"][:, None] - places.y) ** 2
-    return np.sqrt(steps.min(axis=1))
-
-
 def heading_at_start(path, ahead=0.5):
     place = path.at(np.zeros(1))
     return float(place.heading[0] - np.arctan(ahead * place.curvature[0]))
@@ -49,6 +42,8 @@ def test_path_is_by_arc_length():
     assert_allclose(place.heading, s / 5, atol=2e-3)  # north at first, turning left
     moved = np.hypot(np.diff(place.x), np.diff(place.y))
     assert_allclose(moved, np.diff(s), rtol=5e-4)
+    assert_allclose(circle.distance(1.4 * place.x, 1.4 * place.y), 2, atol=1e-3)
+    assert_allclose(circle.distance(np.array([5.0, -6.0]), np.array([-3.0, 0.0])), [3, 1])
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 30])
@@ -103,7 +98,7 @@ def test_100_m_of_hills_and_the_same_without_the_tilt_term(monkeypatch):
     run = sf.simulate(dae, start, sf.follow(dae, path, speed=0.5), t)
     assert run.stop is None
     assert largest_tilt(run) <= 0.05
-    assert cross_track(run, path).max() <= 0.05
+    assert path.distance(run["x"], run["y"]).max() <= 0.05
     monkeypatch.setattr(laws, "TILT_GAIN", 0.0)
     without = sf.simulate(dae, start, sf.follow(dae, path, speed=0.5), t)
     assert largest_tilt(without) > 3 * largest_tilt(run)
@@ -124,7 +119,7 @@ def test_vehicles_without_a_steered_axle_follow_too(vehicle, count, ahead):
     assert laws.turning_axis_offset(vehicle) == pytest.approx(ahead)
     start = sf.settle(dae, heading=heading_at_start(path, ahead))
     run = sf.simulate(dae, start, sf.follow(dae, path, speed=0.3), np.linspace(0, 60, 61))
-    assert cross_track(run, path).max() < 0.05
+    assert path.distance(run["x"], run["y"]).max() < 0.05
     assert np.abs(run["slip_across"][10:]).max() < 1e-2
 
 

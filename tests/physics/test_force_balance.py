@@ -12,17 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import root
 
 import slipfree as sf
-from helpers.drives import (
-    HILL,
-    ROBOTS,
-    TRUE,
-    Truth,
-    draws_of_fits,
-    drives,
-    log_of,
-    model,
-    unknowns,
-)
+from helpers.drives import HILL, ROBOTS, TRUE, Truth, draws_of_fits, drives, log_of, model, unknowns
 from slipfree.core.records import Array
 from slipfree.fit.drive_fit import (
     Fitted,
@@ -196,11 +186,7 @@ def test_it_repeats_an_explicit_integration() -> None:
     t, sides, place, heading = drives(2, truth)
     chassis = log_of((t, sides, place, heading), 0).chassis
     own = constants(
-        chassis,
-        radius=[0.98, 0.98, 1.02, 1.02],
-        center=0.05 + 0j,
-        stiffness=3.0,
-        gyration=0.3,
+        chassis, radius=[0.98, 0.98, 1.02, 1.02], center=0.05 + 0j, stiffness=3.0, gyration=0.3
     )
     rows = np.arange(200)[:, None] + np.array([[200, 500]])
     signals = sides[:, :, [0]].transpose(1, 2, 0)

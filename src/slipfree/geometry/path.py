@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+import scipy
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
@@ -86,6 +87,32 @@ class Path:
     def length(self) -> float:
         """Arc length [m]."""
         return float(self._table[0][-1])
+
+    @cached_property
+    def line(self) -> Array:
+        """Points on the path, 64 between two way-points, shape (n, 2), map coordinates [m]."""
+        return np.asarray(self.points[0] + self._table[1][:2].T)
+
+    def distance(self, x: Array, y: Array) -> Array:
+        """Return the distances of points to the path, which ends at its last way-point.
+
+        Parameters
+        ----------
+        x, y : ndarray, shape (n,)
+            The points, in map coordinates. [m]
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Distances. [m]
+        """
+        line, points = self.line, np.stack([x, y], axis=1)
+        nearest = scipy.spatial.KDTree(line).query(points)[1]
+        first = np.clip(nearest[:, None] + [-1, 0], 0, len(line) - 2)  # of the segments beside it
+        away, along = points[:, None] - line[first], line[first + 1] - line[first]
+        shares = np.clip((away * along).sum(axis=2) / (along**2).sum(axis=2), 0, 1)
+        nearest = np.linalg.norm(away - shares[..., None] * along, axis=2).min(axis=1)
+        return np.asarray(nearest)
 
     def at(self, s: Array) -> PathPoint:
         """Return the points at arc lengths.

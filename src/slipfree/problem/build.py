@@ -301,9 +301,7 @@ def build_world(problem: Problem[Any]) -> World:
 def build_shared_model(problem: Problem[M], world: World) -> Dae:
     """Return the model of a problem, which consecutive runs of a sweep share like its world."""
     return _shared(
-        "model",
-        problem,
-        lambda: build_model(problem, world.vehicle, world.terrain, world.prisms),
+        "model", problem, lambda: build_model(problem, world.vehicle, world.terrain, world.prisms)
     )
 
 

@@ -56,9 +56,7 @@ class VehicleFile(NamedTuple):
 
 
 def build_vehicle(
-    problem: Problem[Any],
-    spec: schema.VehicleSource | None = None,
-    place: Place = ("vehicle",),
+    problem: Problem[Any], spec: schema.VehicleSource | None = None, place: Place = ("vehicle",)
 ) -> Vehicle:
     """Return the vehicle of a problem, or of its table ``spec`` at ``place``, in its gravity.
 

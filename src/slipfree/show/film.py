@@ -222,8 +222,8 @@ class View:
             self.labels.append((point, text))
             self.artists.append(text)
         for points, colors, look in [
-            *(drawn for actor in scene.actors for drawn in _path(scene, actor)),
             *((each.segments, [_shares(each.color)], SOLID) for each in plan),
+            *(drawn for actor in scene.actors for drawn in _path(scene, actor)),
         ]:
             line = LineCollection([], colors=colors, zorder=1, **look)
             self.ax.add_collection(line, autolim=False)

@@ -137,12 +137,16 @@ def plan_marks(
     keep_out: Sequence[Region] = (),
     places: Sequence[Place] = (),
     areas: Mapping[str, Window] = {},
+    wanted: Array | None = None,
 ) -> Axes:
     """Draw keep-out regions, start, way-points and goal of a plan in plan view, within the axes.
 
     ``places`` are names, x and y; those with an area by their name in ``areas`` are drawn as areas.
+    ``wanted`` are the points of the path that a driver follows, shape (n, 2), None without one.
     """
     west, east, south, north = *ax.get_xlim(), *ax.get_ylim()
+    if wanted is not None:
+        ax.plot(*wanted.T, color="black", ls=(0, (4, 2)), lw=1.0, zorder=5, label="path to follow")
     for region in keep_out:
         x_min, x_max, y_min, y_max = region.bounds
         if x_min < east and x_max > west and y_min < north and y_max > south:

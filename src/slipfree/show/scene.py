@@ -63,7 +63,7 @@ STEPS = (1, 2, 5, 10)  # round numbers, times a power of ten
 SAMPLES = 240  # samples of a grid line
 BESIDE = 0.03  # distance of its label from the ground [longer side of the drawn ground]
 ARROW = 0.09  # length of the arrow to the north [longer side of the drawn ground]
-PLAN_LINES = "keep-out", "places"  # lines that pictures have as well
+PLAN_LINES = "keep-out", "places", "path to follow"  # lines that pictures have as well
 GRAY, BROWN, RED = (70, 70, 70), (60, 40, 20), (190, 30, 30)
 SIDE = 161  # maximum number of nodes of the drawn ground along an axis: 51 200 faces
 MARGIN = 0.35  # margin of the drawn ground around the paths [extent of the paths]
@@ -459,6 +459,7 @@ class Driven(NamedTuple):
     keep_out: tuple[Region, ...] = ()  # of a plan
     places: tuple[Place, ...] = ()  # start, way-points and goal of a plan
     areas: Mapping[str, Window] = {}  # of places that are no points, by name
+    wanted: Array | None = None  # points of the path that a driver follows, shape (n, 2)
     plan: Trajectory | None = None  # the plan that the motion simulates, with contact points
     prisms: tuple[Prism, ...] = ()  # solids on the ground
     robot: Robot | None = None  # URDF of the vehicle; None without one
@@ -566,6 +567,12 @@ def _plan_lines(first: Driven, window: Window, origin: Array, reach: float) -> I
         borders.append(_segments(line))
     if borders:
         yield Lines(PLAN_LINES[0], "regions of the plan", RED, np.concatenate(borders))
+    if first.wanted is not None:
+        x, y, z = (first.run[name][0] for name in "xyz")
+        line = draped(first.wanted) + np.array([0.0, 0.0, z - first.terrain.elevation(x, y)])
+        ends = np.reshape(window, (2, 2)).T  # low, high
+        line[((first.wanted < ends[0]) | (first.wanted > ends[1])).any(axis=1)] = np.nan
+        yield Lines(PLAN_LINES[2], "of the driver", PLACE_COLOR, _segments(line))
     if first.places:
         names, points = [place[0] for place in first.places], [place[1:] for place in first.places]
         posts, labels = _posts(draped(np.array(points)), POST * reach, names)
@@ -602,7 +609,8 @@ def _backdrop(
 
     def draw(ax: Axes) -> Axes:
         ground_drawing.solids(first.prisms, ground_drawing.muted(terrain.grid, ax, window))
-        return ground_drawing.plan_marks(ax, first.keep_out, first.places, first.areas)
+        marks = first.keep_out, first.places, first.areas, first.wanted
+        return ground_drawing.plan_marks(ax, *marks)
 
     return Backdrop(draw, near, AROUND * reach)
 
@@ -716,8 +724,9 @@ def _part_bodies(
             away = wheels.origins[0] - origins[0]
             half = NARROW * float(np.abs((away @ rotations[0])[:, 0]).max())
             meshes.append(plate(half, *spans[name], PLATE * radius))
-        if meshes:
-            yield SceneBody(name, ((joined(*meshes), color),), origins, rotations)
+        if meshes or name == "platform":  # which is the first body, as the path is its path
+            looks = ((joined(*meshes), color),) if meshes else ()
+            yield SceneBody(name, looks, origins, rotations)
 
 
 def _plate_spans(

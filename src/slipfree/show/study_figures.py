@@ -187,10 +187,7 @@ def front_plot(against: str, unit: str, points: Sequence[FrontPoint], given: Fro
 
 
 def _draw_points(
-    points: Sequence[FrontPoint],
-    given: FrontPoint,
-    value: Callable[[FrontPoint], float],
-    ax: Axes,
+    points: Sequence[FrontPoint], given: FrontPoint, value: Callable[[FrontPoint], float], ax: Axes
 ) -> None:
     """Draw the points of a Pareto front: solved, dominated, not solved, and the given one."""
     solved = [point for point in points if point.is_solved]

@@ -232,9 +232,7 @@ class AtlasSetup(World):
         """Return the evaluators of the poses."""
         table = self.problem.spec.atlas
         return pose_evaluator(
-            self.model,
-            with_corners=table.error is not None,
-            compiled=compiled and table.compiled,
+            self.model, with_corners=table.error is not None, compiled=compiled and table.compiled
         )
 
     def bands(self, i: slice, j: slice) -> dict[str, Array]:

@@ -44,13 +44,7 @@ from slipfree.models.samples import (
     rocks,
 )
 from slipfree.models.single_wheel import RESERVE, drawbar_reserve
-from slipfree.problem.build import (
-    Setup,
-    World,
-    build_world,
-    law_name,
-    model_law,
-)
+from slipfree.problem.build import Setup, World, build_world, law_name, model_law
 from slipfree.problem.build_vehicle import vehicle_file, visual_meshes
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys, Modelled, MotionKeys

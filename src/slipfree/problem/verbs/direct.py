@@ -11,12 +11,14 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.errors import DataError, ModelError
+from slipfree.core.facts import Fact, rows
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.mcap import is_mcap, read_joint_commands
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml import Fault, Piecewise, PiecewiseConstantOrFile, Positive, format_value
 from slipfree.files.urdf.links import Robot, joint_values
+from slipfree.geometry import path
 from slipfree.models.montana import Difference, cross_check, montana_kinematics
 from slipfree.problem.build import (
     Setup,
@@ -27,19 +29,14 @@ from slipfree.problem.build import (
     build_world,
     check_names,
     model_law,
+    path_points,
     sampled_times,
     solver_options,
 )
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_vehicle import vehicle_file
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import (
-    FILE,
-    STEP_CLIMBING,
-    ClimbingDriver,
-    Modelled,
-    MotionKeys,
-)
+from slipfree.problem.schema import FILE, STEP_CLIMBING, ClimbingDriver, Modelled, MotionKeys
 from slipfree.problem.verbs import base
 from slipfree.solve.sampling import input_samples
 from slipfree.vehicle.tree import Vehicle
@@ -48,6 +45,7 @@ if TYPE_CHECKING:
     from slipfree.plan.polynomial_motion import SavedPlan
 
 
+ROUNDING = 1e-9  # relative length by which the end of a path is not yet passed
 START_TOLERANCE = 1e-6  # of the first commanded position [rad, m]
 
 
@@ -191,6 +189,7 @@ class DirectVerb(base.DriveVerb):
 
     schema = Direct
     options = (base.CROSS_CHECK,)
+    own_rows = rows("*distance from the path: {path_distance_largest:.3g} at most; {path_end}")
 
     def build(self, problem: Problem[Direct]) -> Setup:
         """Return the model, the settled start and the inputs of a problem."""
@@ -235,10 +234,28 @@ class DirectVerb(base.DriveVerb):
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the motion, complete or up to its stop, and an empty mapping of arrays."""
         run = base.integrate(setup, solver_options(problem), watch)
-        if not setup.every:
+        if setup.every:
+            last = run.t.size - 1  # with the end at a stop
+            kept = [*range(0, last, setup.every), last]
+            run = run.part(np.array(kept), run.stop)
+        driver = problem.spec.driver
+        if driver is None or (followed := _followed(problem, driver)) is None:
             return run, NOTHING
-        rows = [*range(0, run.t.size - 1, setup.every), run.t.size - 1]  # with the end at a stop
-        return run.part(np.array(rows), run.stop), NOTHING
+        speed, length = abs(driver.speed), followed.length
+        on, beyond = speed * run.t <= length, speed * run.t[-1] - length  # of the reference point
+        distance = float(followed.distance(run["x"][on], run["y"][on]).max())
+        words = f"{length + min(beyond, 0.0):.4g} of {length:.4g} m followed"
+        if beyond > ROUNDING * length:
+            words = f"passed by {beyond:.4g} m, straight on"
+        words = f"end of the path at t = {length / speed:.4g} s, {words}"
+        facts = {"path_distance_largest": Fact(distance, "m"), "path_end": Fact(words)}
+        return run.with_facts(facts), NOTHING
+
+    def marks(self, problem: Problem[Any], domain: Any) -> dict[str, Any]:
+        """Return the path that the driver follows; empty without one."""
+        driver = problem.spec.driver
+        followed = _followed(problem, driver) if driver is not None else None
+        return {} if followed is None else {"wanted": followed.line}
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including model, law and formulation."""
@@ -255,3 +272,8 @@ class DirectVerb(base.DriveVerb):
         with at(problem, ("start",)):
             motion = self.solve(again, setup, base.Watch(), None)[0]
         return other, cross_check(result.trajectory, motion)
+
+
+def _followed(problem: Problem[Direct], driver: SampledDriver) -> path.Path | None:
+    """Return the path that a driver follows; None without one."""
+    return path.Path(path_points(problem, driver)) if driver.name == "follow" else None

@@ -31,14 +31,7 @@ from slipfree.files.logs import (
     read_log,
 )
 from slipfree.files.netcdf import FIT, ORIGIN, open_netcdf
-from slipfree.files.tables import (
-    ALIASES,
-    PARTS,
-    known_unit,
-    part_of,
-    read_names,
-    split_unit,
-)
+from slipfree.files.tables import ALIASES, PARTS, known_unit, part_of, read_names, split_unit
 from slipfree.files.toml import Angle, Pair, Positive, Quantity, Record, given_values, name_errors
 from slipfree.fit.drive_fit import (
     BLOCKS,
