@@ -2,6 +2,7 @@
 
 import io
 import re
+import tomllib
 
 import casadi as ca
 import numpy as np
@@ -122,36 +123,7 @@ def faults(path):
 CASTER = '<joint name="caster" type="continuous">'
 REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
 
-
-ENTITY = '<!DOCTYPE robot [<!ENTITY a "a">]><robot name="&a;">'
-INCLUDE = '<robot name="cart" xmlns:xacro="x"><xacro:include filename="b"/>'
-SLIDING = CASTER.replace("continuous", "prismatic") + '<limit lower="-150" upper="1"/>'
-BASE_SWIVEL = '<parent link="base_link"/><child link="swivel"/>'
-BASE_LIDAR = '<parent link="base_link"/><child link="lidar"/>'
-FORK_WHEEL = '<parent link="fork"/><child link="left_wheel"/>'
-WRONG = [
-    ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "cart.urdf:27: joint 'left_drive': expected an"),
-    ('<mass value="12"/>', '<mass value="-1"/>', "expected a mass of at least 0 kg"),
-    ('xyz="0 0.25 0"', 'xyz="0 250 0"', "expected xyz in metres, from -100 to 100 (did you"),
-    (CASTER, REVOLUTE.format(-90, 90), "lower in radians (did you mean -90 degrees? write -1.57"),
-    (CASTER, REVOLUTE.format(1, 1), 'found 1 and 1; in a vehicle file with urdf = "cart.urdf", w'),
-    (CASTER, SLIDING, "lower in metres, at least -100 (did you mean millimetres? write -0."),
-    ('<child link="caster_wheel"/>', '<child link="c"/>', "a link of this file as child, found"),
-    (BASE_LIDAR, FORK_WHEEL, "link 'left_wheel' is also the child of joint 'left_drive'; cut"),
-    (BASE_SWIVEL, BASE_SWIVEL.replace("base_link", "fork"), "found links in a loop: 'swivel', "),
-    (CASTER, CASTER.replace("continuous", "planar"), "found 'planar'; replace it with such joints"),
-    ('<cylinder radius="0.15" length="0.04"/>', '<mesh filename="a.stl"/>', "the mesh 'a.stl',"),
-    ('radius="0.1"', 'radius="10"', "is it in centimetres? correct it, or in a vehicle file"),
-    ('radius="0.15"', 'radius="150"', "in metres, greater than 0 and at most 100, found 150"),
-    ('<origin xyz="0 0.25 0"', '<Origin xyz="0 0.25 0"', "expected <origin>, found <Origin>"),
-    ('<origin xyz="0 0.25 0"', '<origin position="0 0.25 0"', "xyz, rpy, found position"),
-    (CASTER, CASTER + '<limit min="-1" max="1"/>', "jerk, found min, max; correct"),
-    ('<mass value="1.5"/>', '<mass value="1500"/>', "at most 1.35e+03 for its radius, found 1500"),
-    ("</robot>", "", "expected XML, found that the file ends within an element; it may be trunc"),
-    ('<robot name="cart">', ENTITY, "cart.urdf:3: expected XML without a document type, found"),
-    ('<robot name="cart">', INCLUDE, "cart.urdf:3: expected plain URDF, found xacro,"),
-    ('xyz="0 0.25 0"', 'xyz="0 ${a} 0"', "found xacro, '0 ${a} 0' in the attribute 'xyz' of"),
-]
+WRONG = tomllib.loads((DATA / "wrong_urdfs.toml").read_text())["wrong"]
 
 
 @pytest.mark.parametrize(("old", "new", "words"), WRONG)

@@ -85,6 +85,7 @@ def plugin(name, **elements):
 
 WHEELS = [f"{end}_{side}_joint" for end in ("front", "rear") for side in ("left", "right")]
 DRIVEN = dict(zip("abcd", WHEELS, strict=True))  # by a plugin
+CONTRADICTING = {"left_joint": WHEELS[1], "right_joint": WHEELS[0], "third_joint": "gone"}
 BASE_JOINTS = (
     '<link name="world"/><link name="a"/>'
     + pivot("slide", axis="1 0 0", parent="a", kind="prismatic").replace(
@@ -696,6 +697,14 @@ READ = {
         {},
         "its radius in a plugin of a simulator",
     ),
+    "drive that contradicts": (
+        FOUR + plugin("diff_drive", wheel_separation=0.6, wheel_radius=0.2, **CONTRADICTING),
+        {},
+        "a radius of 0.2 m instead of 0.1 m, a track of 0.6 m instead of 0.3 m, the wheels on the "
+        "left as right ones, joints that are not in the file, gone",
+    ),
+    "long cylinders": (FOUR.replace('"0.05"', '"0.22"'), {}, "are radius and length exchanged"),
+    "diameters": (FOUR.replace('"0.1"', '"0.3"'), None, "are they diameters"),
     "twin tyres": (
         FOUR.replace(WHEEL, WHEEL.replace('rpy="1', 'xyz="0 0.05 0" rpy="1')
                      + WHEEL.replace('rpy="1', 'xyz="0 -0.05 0" rpy="1')),
@@ -719,9 +728,9 @@ READ = {
 def test_a_clear_choice_is_read_with_a_note(name, tmp_path):
     parts, kinds, words = READ[name]
     vehicle = read_vehicle(written(tmp_path, parts))
-    assert {c.name: c.kind for c in vehicle.coordinates} == kinds
+    assert {c.name: c.kind for c in vehicle.coordinates} == (kinds or {})
     assert any(words in note for note in vehicle.notes)
-    if len(vehicle.wheels) == 4 and not kinds:
+    if len(vehicle.wheels) == 4 and kinds == {}:
         assert [each.radius for each in vehicle.wheels[1:]] == [0.1] * 3
         assert np.allclose([abs(each.at[0]) for each in vehicle.wheels], 0.15)
     for line in offered("\n".join(vehicle.notes)):
@@ -767,6 +776,13 @@ ASKED = {
         "no name distinguishes front from rear", PLAIN,
     ),
     "a wheel in the air": (FOUR.replace("0.2 -0.15 0", "0.2 -0.15 0.3", 1), "", ((4, 0), (3, 0))),
+    "a wheel above the others": (
+        corners(wheel).replace("-0.3 -0.2 0", "-0.3 -0.2 0.1"), "", ((4, 0), (3, 0))
+    ),
+    "a wheel in another": (FOUR.replace("-0.2 -0.15 0", "-0.2 0.15 0"), "at different places", ()),
+    "centimetres": (
+        wheels("{e}{s}", {"f": 30, "r": -30}, track=40, radius=10), "heavier than air", ((4, 0),)
+    ),
     "upright axles": (
         UPRIGHT_AXLES, "the axles of the wheels are missing: front_left_wheel_joint, ", ()
     ),

@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from itertools import starmap
+from itertools import combinations, starmap
 from math import degrees, isfinite
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar, cast
@@ -34,6 +34,7 @@ from slipfree.vehicle.tree import DRIVES, RATE, Drive, Wheel
 
 RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
 MAX_RADIUS = 3.0  # of a wheel over the sum of the distances of wheels and joints from parents [1]
+SAME_PLACE = 0.01  # smallest distance of two wheels [radii]
 MAX_WHEEL_MASS = 4e5  # of a radius of 1 m: four balls of osmium, the densest material [kg]
 MAX_LENGTH = 100.0  # largest length in a vehicle [m]
 # rotation from axes x forward, y left (rep103) to axes x right, y forward
@@ -123,6 +124,10 @@ def misfits(draft: Draft, few: str = "add wheels") -> Iterator[tuple[str, str]]:
         if wheel.mass > (most := MAX_WHEEL_MASS * wheel.radius**3):
             expected = f"a mass of wheel {wheel.name} in kg, at most {most:.3g} for its radius"
             yield expected, f"{wheel.mass:g} (did you mean grams? write {wheel.mass / 1000:g})"
+    for one, other in combinations(draft.wheels, 2):
+        near = SAME_PLACE * min(one.radius, other.radius)
+        if one.parent == other.parent and math.dist(one.at, other.at) < near:
+            yield "wheels at different places", f"{one.name} and {other.name} at one; correct them"
     count, names = len(draft.wheels), [c.name for c in draft.of("suspension")]
     if draft.planar:
         return

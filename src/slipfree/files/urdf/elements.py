@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from typing import Any, cast
 
 from slipfree.files.urdf import tree, xacro
-from slipfree.files.urdf.evidence import actuators, plugins
+from slipfree.files.urdf.evidence import ATTRIBUTES, actuators, plugins
 from slipfree.files.urdf.wheels import with_separate_balls
 from slipfree.files.urdf.xml import Element, number_in, parse_robot
 from slipfree.files.vehicle_toml import MAX_LENGTH, degrees_words, in_order, rotation_of
@@ -22,14 +22,6 @@ MAX_LIMIT = 1e3  # larger limits mean none, as 1e16 from SDF [rad, m, rad/s or m
 FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
 NOTHING: Mapping[str, str] = {}
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-ATTRIBUTES = {  # of elements; others are errors where one of the first four is missing
-    "origin": ("xyz", "rpy"),
-    "axis": ("xyz",),
-    "limit": ("lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"),
-    "mimic": ("joint", "multiplier", "offset"),
-    "mass": ("value",),
-    "inertia": MOMENTS,
-}
 NEAR = 0.8  # least similarity of a misspelt name
 
 
@@ -54,7 +46,7 @@ def read_tree(
             for name in get_close_matches(child.tag.lower(), names, n=1, cutoff=NEAR):
                 message = f"{who}: expected <{name}>, found <{child.tag}>; correct the name"
                 findings.add(child.line, message)
-            known = ATTRIBUTES.get(child.tag, ())
+            known = ATTRIBUTES.get(child.tag, [])
             wrong = [key for key in child.attributes if known and key not in known]
             if wrong and not {*known[:4]} <= {*child.attributes}:
                 expected = f"{who}: {child.tag}: expected the attributes {', '.join(known)}"

@@ -19,10 +19,13 @@ from slipfree.files.urdf.xml import Element, number_in
 CONTRADICTORY = 0.85  # weight of the second choice that leaves the choice open [first choice]
 TABLE: dict[str, Any] = read_table(__file__, "evidence.toml")
 WEIGHTS: dict[str | float, float] = TABLE.pop("weights")
+REMEDIES: dict[str, str] = TABLE.pop("remedies")
+# of elements; others are errors where one of the first four is missing
+ATTRIBUTES: dict[str, list[str]] = TABLE.pop("attributes")
 USUAL = WEIGHTS["usual"]
 SIDES = {side: re.compile(pattern) for side, pattern in TABLE.pop("sides").items()}
 AXLES = "along the axles"  # contradicts the direction in which wheels roll
-RADIUS = {"wheelradius": 1.0, "wheeldiameter": 0.5}  # elements of plugins, without _
+SIZES = TABLE.pop("sizes")  # elements of plugins, without _: attribute and factor
 INTERFACES = ("position", "velocity", "posvel", "effort")  # of actuators
 
 
@@ -102,14 +105,15 @@ class Choice(NamedTuple):
 
 
 class Plugin(NamedTuple):
-    """A plugin of a simulator: its name, the words in its elements, and the radius of its wheels.
+    """A plugin of a simulator: its name, the words in its elements, and sizes of its wheels.
 
     The words are names of joints, and others; each has the tag of its element.
     """
 
     name: str
     words: Mapping[str, str]
-    radius: float | None  # [m]; None without one
+    radius: float = 0.0  # of the wheels; zero without one [m]
+    track: float = 0.0  # distance between the wheels on the left and on the right; the same [m]
 
     @property
     def drives(self) -> bool:
@@ -148,17 +152,17 @@ def plugins(robot: Element) -> tuple[Plugin, ...]:
     found: list[Plugin] = []
     for gazebo in robot.all("gazebo"):
         for plugin in gazebo.all("plugin"):
-            words: dict[str, str] = {}
-            radius = None
+            words, sizes = dict[str, str](), dict[str, float]()
             for part in plugin.everything():
                 tag = part.tag.lower().replace("_", "")
                 if "encoder" not in tag:
                     names = re.split(r"[\s,;'\"\[\]]+", "".join(part.texts).strip())
                     words |= dict.fromkeys(names, tag)
-                if tag in RADIUS:
-                    radius = RADIUS[tag] * _number("".join(part.texts)) or radius
+                if tag in SIZES:
+                    key, factor = SIZES[tag]
+                    sizes[key] = factor * _number("".join(part.texts)) or sizes.get(key, 0.0)
             name = " ".join(plugin.attributes.get(key, "") for key in ("filename", "name"))
-            found.append(Plugin(name, words, radius))
+            found.append(Plugin(name, words, **sizes))
     return tuple(found)
 
 

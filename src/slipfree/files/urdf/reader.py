@@ -47,19 +47,6 @@ DIRECTIONS = {"x": (1.0, 0.0), "y": (0.0, 1.0), "-x": (-1.0, 0.0), "-y": (0.0, -
 OPPOSITE = {"x": "-x", "-x": "x", "y": "-y", "-y": "y"}
 CLEAR = 0.5  # a piece of evidence for a direction has at least this component along it
 ENDS = {"front": "rear", "left": "right"}
-PARTS = (
-    "wheels to the URDF: joints of type 'continuous' about a level axis to links with a cylinder, "
-    "or links with a sphere at a fixed joint, as of a caster"
-)
-TRACKS = (
-    "tracks are not modelled ({}): describe each as a row of wheels, each with a link with a "
-    "cylinder at a joint of type 'continuous' about the axis to the left in the URDF, or an entry "
-    "in [[wheels]] of a vehicle file (TOML)"
-)
-LEGS = (
-    "legs are not modelled ({}): describe the robot with wheels in their place, each with a link "
-    "with a cylinder at a joint of type 'continuous' about a level axis"
-)
 
 
 def read_urdf(tree: Tree, roles: UrdfTable = NO_ROLES) -> vehicle_toml.Draft:
@@ -230,7 +217,7 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
         other = f"; otherwise write {alike[0].other}" if alike[0].other else ""
         notes.append(f"{'guessed ' if other else ''}{reason}{listed}{other}")
     if found := tracks(wheels.tree, [wheel.name for wheel in wheels.joints]):
-        notes.append(TRACKS.format(", ".join(found)))
+        notes.append(evidence.REMEDIES["tracks"].format(", ".join(found)))
     wheels.add_notes()
 
 
@@ -553,7 +540,7 @@ def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: vehicle_toml.Draft) -> st
     wheels = [wheel.name for wheel in draft.wheels]
     ends = [j for j in tree.joints.values() if tree.is_last(j) and j.name not in wheels]
     if found := tracks(tree, wheels):
-        return TRACKS.format(", ".join(found))
+        return evidence.REMEDIES["tracks"].format(", ".join(found))
     steering = [
         j.name
         for j in ends
@@ -580,7 +567,7 @@ def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: vehicle_toml.Draft) -> st
         or (e.moves and len(chains[e.name]) > 1)
     ]
     if len(legs) > 2:
-        return LEGS.format(", ".join(legs))
+        return evidence.REMEDIES["legs"].format(", ".join(legs))
     named = [j for j in ends if evidence.WHEEL.search(j.names) or evidence.CASTER.search(j.names)]
     level = [j for j in ends if j in tree.turning]
     radius = usual_radius(tree, named or level)
@@ -591,9 +578,10 @@ def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: vehicle_toml.Draft) -> st
     more = {name: WheelRole(radius=size.get("radius")) for name, size in sizes.items()}
     findings = Findings(tree.file)
     trial = roles.model_copy(update={"wheels": {**roles.wheels, **more}})
+    add = f"add {evidence.REMEDIES['parts']}"
     if not sizes or [*vehicle_toml.misfits(_draft(tree, trial, findings))] or findings.errors:
-        return f"add {PARTS}"
-    return f"add {PARTS}; or {findings.completion}, write wheels = {toml_value(sizes)}"
+        return add
+    return f"{add}; or {findings.completion}, write wheels = {toml_value(sizes)}"
 
 
 def _sides(name: str) -> set[str]:

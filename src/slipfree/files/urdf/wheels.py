@@ -82,6 +82,10 @@ MIN_ROLLERS = 3  # wheels with rollers have more of them
 MIN_ROLLER_ANGLE = 10.0  # least angle of rollers [degrees]
 SAME_ANGLE = 0.95  # least length of the mean of unit vectors at twice the angles of rollers
 SMALL = 1e-3  # smaller vectors between places have no direction [m]
+LARGEST, LARGE = 2.5, 0.5  # radius above that of all tyres, and above those of most robots [m]
+AIR = 1.2  # density [kg/m^3]
+SIDES = "left", "right"
+CONTRADICTION = 0.05  # least relative difference of sizes that contradict each other
 
 
 class Wheels:
@@ -260,6 +264,22 @@ class Wheels:
         for rate in sorted({joint.max_rate for joint in self.joints} - {math.inf}):
             limited = [joint.name for joint in self.joints if joint.max_rate == rate]
             note(f"may exceed <limit velocity>, {rate:g} rad/s, unless [bounds] limit it", limited)
+        wide = {
+            joint.name: {"radius": shape.length}
+            for joint in (*self.joints, *(self.tree.joints[name] for name in self.gears))
+            if (shape := self._shape(joint)) and shape.kind == "cylinder"
+            if shape.length > 2 * shape.radius and self._role(joint).radius is None
+        }
+        note(
+            "cylinders longer than their diameters: are radius and length exchanged?",
+            wide,
+            lambda _: f"wheels = {toml_value(wide)}",
+        )
+        places = {
+            j.name: np.array([self._center(j)[1], self._rolling_radius(j) or 0.0])
+            for j in self.joints
+        }
+        self._findings.notes += plugin_contradictions(self.tree, places)
         note("centre of mass moved from the inertial's origin to the wheel's centre", off)
         note(
             "without rollers, in spite of their names",
@@ -330,24 +350,36 @@ class Wheels:
         if values:
             self._findings.guess("wheels", name, values, f"a wheel: {guess.words}", other)
 
+    def _center(self, joint: UrdfJoint) -> Array:
+        """Return the centre of a wheel in the root's frame [m]."""
+        (rotation, origin), shape = self.tree.frames[joint.child], self._shape(joint)
+        return np.asarray(origin + rotation @ (shape.at if shape else ORIGIN))
+
     def _check_radii(self) -> None:
         """Add an error for radii that do not suit the distances of the wheels.
 
         Radii that are no guesses are errors if they do in another unit.
         """
         radii = np.array([self._rolling_radius(joint) or 0.0 for joint in self.joints])
-        centers = np.array([self.tree.frames[joint.child][1] for joint in self.joints])
+        centers = np.array([self._center(joint) for joint in self.joints])
         alike: dict[tuple[str, str, float], list[UrdfJoint]] = {}
+        mass = sum(link.mass or 0.0 for link in self.tree.links.values())
+        is_light = 0 < mass < AIR * float((radii**3).sum())  # about the volume of the wheels
+        huge, odd = list[UrdfJoint](), dict[str, Any]()
         for k, joint in enumerate(self.joints):
             shape, role = self._shape(joint), self._roles.wheels.get(joint.name, WheelRole())
             is_mesh = shape is not None and shape.kind == "mesh"
-            is_guess = is_mesh or joint.name in self._given
+            is_guess = is_mesh or joint.name in {*self._given} - {*self._roles.wheels}
             if role.radius or self._roles.radius or not radii[k]:
                 continue
             turns = joint.moves and self.tree.is_level(joint)
             axle = self.tree.axis(joint) if turns else self._lateral(joint)
             factor = unit_factor(radii, centers, axle, k)
-            if factor is None or (factor == 1 and not is_guess):
+            if factor == 1 and not is_guess:
+                odd[joint.name] = {"radius": float(radii[k]) / 2}
+            is_huge = bool(radii[k] > (LARGE if is_light else LARGEST)) and factor in (None, 1)
+            huge += [joint] * is_huge
+            if is_huge or factor is None or (factor == 1 and not is_guess):
                 continue
             mesh = self.tree.links[joint.child].meshes[0] if is_mesh else None
             unit = f" {UNITS[factor]} correct it, or" if factor in UNITS else ""
@@ -360,6 +392,21 @@ class Wheels:
                 "expected a wheel that suits the distances between the wheels, found a radius of "
                 f"{found} in link {joints[0].child!r};{unit}",
                 self._radius_line(joints, radius),
+            )
+
+        self._findings.note(
+            "radii that do not suit the distances of the wheels: are they diameters?",
+            odd,
+            lambda _: f"wheels = {toml_value(odd)}",
+        )
+        if huge:
+            radius = self._rolling_radius(huge[0]) or 0.0
+            self._findings.ask(
+                huge,
+                f"expected a vehicle heavier than air, with wheels of at most {LARGEST:g} m, found "
+                f"{mass:.3g} kg and a radius of {radius:.3g} m; are all lengths in millimetres, "
+                "centimetres or inches? write them in metres; or, if they are right,",
+                self._radius_line(huge, radius),
             )
 
     def _radius_line(self, joints: Sequence[UrdfJoint], radius: float) -> str:
@@ -483,7 +530,7 @@ class Wheels:
             alike = any(math.isclose(shapes[joint].radius, r, rel_tol=ALIKE) for r in low)
             facts = {"high": True, "alike": alike, "names": WHEEL.search(joint.names)}
             choice = weigh(evidence("ground", facts))
-            if choice.is_open:
+            if choice.is_open or choice.choice == "wheel":
                 self._findings.ask(
                     [joint],
                     f"expected a wheel near the ground of the others, found {choice.reason};",
@@ -671,6 +718,33 @@ def _lowest_part(
         return parts[index], radius, reason
     height = float(tree.frames[parts[-1].child][1][2]) - ground
     return (parts[-1], height, "radius to the ground of the wheels") if height > 0 else None
+
+
+def plugin_contradictions(tree: Tree, wheels: Mapping[str, Array]) -> Iterator[str]:
+    """Yield notes on drives of simulators that contradict the links.
+
+    ``wheels`` are the distance to the left and the radius of each wheel, by joint [m].
+    """
+    for plugin in (plugin for plugin in tree.plugins if plugin.drives):
+        own = {name: wheels[name] for name in plugin.words if name in wheels}
+        sides = ([y for name, (y, _) in own.items() if s in plugin.words[name]] for s in SIDES)
+        left, right = (sum(side) / len(side) if side else math.nan for side in sides)
+        radii = {radius for _, radius in own.values()}
+        sizes = {
+            "a radius": (plugin.radius, radii.pop() if len(radii) == 1 else math.nan),
+            "a track": (plugin.track, abs(left - right)),
+        }
+        wrong = [
+            f"{name} of {stated:g} m instead of {size:g} m"
+            for name, (stated, size) in sizes.items()
+            if stated and abs(size - stated) > CONTRADICTION * stated
+        ]
+        wrong += ["the wheels on the left as right ones"] * bool(left < right)
+        names = {name for name, tag in plugin.words.items() if name and tag.endswith("joint")}
+        if unknown := sorted(names - {*tree.joints}):
+            wrong.append(f"joints that are not in the file, {', '.join(unknown)}")
+        if wrong:
+            yield f"drive {plugin.name!r} of a simulator, not used: {', '.join(wrong)}"
 
 
 def with_separate_balls(tree: Tree) -> Tree:

@@ -22,7 +22,7 @@ from slipfree.control.path_following import follow
 from slipfree.control.step_climbing import climbing
 from slipfree.core import trajectory
 from slipfree.core.dae import Dae, PiecewiseLinear
-from slipfree.core.errors import ModelError, SlipfreeError
+from slipfree.core.errors import ModelError, SlipfreeError, read_table
 from slipfree.core.facts import Fact, Facts, rows, starting_with
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Outcome, Trajectory, ipopt_words
@@ -73,53 +73,7 @@ DIFFERENCE, VIOLATION, PLAN_COST = "plan_difference_", "plan_violation_", "plan_
 ROUNDING = 1e-6  # smaller violations count as rounding, in the unit of the limit
 SLIDING = 0.95  # wheels with a larger utilisation count as sliding
 UNUSABLE = Outcome.INACCURATE, Outcome.LIMIT  # outcomes of solved plans that cannot be driven
-ROWS = rows(
-    """\
-*iterate: {iterate}
-*!cost: may not be least: {plan_not_least}; the plan meets all constraints
-plan: {plan_iterations:.0f} iterations, {plan_seconds:.3g}, of which \
-{plan_seconds_functions:.3g} in functions; <plan_cost_*> {name} {fact:.6g}
-*whole turns: <plan_turns> {fact}
-windows: {windows}
-starts: {plan_optima:.0f} local optima from {start_count} starts
-  {start}: <plan_starts> {outcome}, cost {cost:.6g}, duration {duration:.4g} s, path up to \
-{distance:.2g} m from the best one; {seconds:.2g} s of search
-*limited by: {limited_by} (plan.duration; default: half to twice that of the initial guess)
-*!simulated: {simulated}
-!optimality: {optimality}
-prices of limits: {prices}
-*!robust plan: holds in {plan_share:.3g>%} of {plan_share_draws:.0f} drawn worlds \
-({plan_share_low.words} {plan_share_low:.3g>%} to {plan_share_high:.3g>%}), before tightening in \
-{plan_share_first:.3g>%}
-*!guaranteed: for every ground within {plan_guarantee:.3g>mm} of the map: \
-<plan_guarantee_bounds> {fact}
-*  on the map only: <plan_guarantee_uncovered> {fact}
-  tightened: <plan_tightened> {bound} by {size:.3g}{unit}
-  cost of this: total {plan_total_cost:.6g}; without tightening <plan_untightened_*> {name} \
-{fact:.6g}
-  violated: <plan_violated> {bound} in {draws}
-  tighter limits: not solved: {plan_tightening_failure}
-  end: {plan_share_distance:.3g} from that of the plan at the median, \
-{plan_share_distance_95:.3g} at 95 %
-!simulated with compliant contacts: on compliant contacts the platform stays within \
-{momentum_distance:.2g>mm} of the plan; least normal force of a wheel \
-{momentum_force_normal_plan:.3g} ({momentum_force_normal_plan.words}) in the plan, \
-{momentum_force_normal:.3g} ({momentum_force_normal.words}) in the simulation
-!driven slowly: without inertia the same path needs torques of {slow_torque:.3g} in all (at x = \
-{slow_x:.2f}, y = {slow_y:.2f}); the plan needs at most {slow_torque_plan:.3g}
-!driven slowly: {slow_failure}
-*!simulated with friction: ends {friction_end_distance:.3g} from the plan, slips \
-{friction_slip_per_path:.3g>mm/m} per wheel, utilisation at most \
-{friction_utilisation_largest:.3g}[ ({slides})][; the plan needs {utilisation_largest:.3g}]
-*!simulated with friction: {friction_failure}
-!simulated with inertia: ends {soil_end_distance:.3g} from the plan, slip ratio \
-{soil_slip_ratio_largest:.3g} at most, sinkage {soil_sinkage_largest:.3g>mm} at most, work \
-{soil_work:.4g} (plan: {soil_slip_ratio_largest_plan:.3g}, {soil_sinkage_largest_plan:.3g>mm}, \
-{soil_work_plan:.4g})
-!simulated with inertia: {soil_failure}
-!with wheels ten times stiffer: ends {stiff_end_distance:.3g} from the plan
-!with wheels ten times stiffer: {stiff_failure}"""
-)
+ROWS = rows(read_table(__file__, "plan_rows.toml")["rows"])
 
 
 def facts_of(plan: Plan | LongPlan, setup: plan_setup.Planning) -> dict[str, Fact]:
