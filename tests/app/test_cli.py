@@ -57,6 +57,11 @@ def test_a_new_problem_runs_as_it_is(kind: str) -> None:
     assert (len(iterates) > 3) == (kind == "plan")
 
 
+def test_a_new_comparison_runs_as_it_is() -> None:
+    assert "slipfree compare mine.toml" in invoke("new", "compare", "mine", code=0).stdout
+    assert "three-wheeler" in invoke("compare", "mine.toml", code=0).stdout
+
+
 def test_new_replaces_nothing_unasked() -> None:
     Path("a.toml").write_text("mine")
     result = invoke("new", "plan", "a.toml", code=2)

@@ -108,6 +108,11 @@ def test_a_new_problem_has_map_vehicle_and_start():
     assert plan["terrain"] == {"file": "site.npz", "friction": 0.6}
     assert {*plan} >= {"start", "goal", "costs"}
     assert not {*plan} & {"bounds", "inputs", "time"}
+    assert 'model = "quasi-static"' in Path("direct.toml").read_text()
+    printed("new", "direct", "rigid", *files[:3], "rigid_skid_steer")
+    assert 'model = "dynamics"' in Path("rigid.toml").read_text()
+    assert "compare c.toml" in printed("new", "compare", "c", *files)
+    assert "Rocky 7" in printed("compare", "c.toml")
     printed("new", "direct", "more", *files, *sets("terrain.window=[-5,5,-5,5]"))
     assert "window = [-5.0, 5.0, -5.0, 5.0]" in Path("more.toml").read_text()
     assert "together" in printed("new", "direct", "no", *files[:2], code=2)

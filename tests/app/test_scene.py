@@ -445,6 +445,7 @@ def test_meshes_of_a_urdf_are_drawn(tmp_path: Path) -> None:
         '<link name="left_wheel"><visual><geometry><mesh filename="wheel.stl"/></geometry></visual>'
     )
     text = text.replace('<link name="base_link">', body).replace('<link name="left_wheel">', wheel)
+    text = text.replace('<origin xyz="0 0.25 0"/>', '<origin xyz="0 0.25 0"/><limit velocity="1"/>')
     fork = '"fork"><collision><geometry><sphere radius="0.01"/></geometry></collision>'
     (tmp_path / "cart.urdf").write_text(text.replace('"fork">', fork), encoding="utf-8")
     trimesh.creation.box((1.0, 0.6, 0.2)).export(tmp_path / "body.stl")
@@ -453,6 +454,8 @@ def test_meshes_of_a_urdf_are_drawn(tmp_path: Path) -> None:
     np.savez(tmp_path / "flat.npz", x=x, y=x, z=np.zeros((13, 13)))
     found = shown(solved(tmp_path, "cart", NAMED), "cart")
     assert isinstance(found, Driven)
+    (faster,) = found.run.facts["faster_wheels"].value
+    assert (faster["wheel"], faster["limit"], faster["rate"] > 1) == ("left_drive", 1.0, True)
     (actor,), origin = (scene := drive_scene([found])).actors, scene.origin
     bodies = {each.name: each for each in actor.bodies}
     assert actor.bodies[0].name == "platform"

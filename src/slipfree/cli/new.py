@@ -37,11 +37,15 @@ TABLES = {  # comments
     "goal": "near the start: change it",
     "given": "commands of the platform: forward, to the left [m/s], counter-clockwise [rad/s]",
 }
+RIGID = '"quasi-static"  # slow motion', '"dynamics"  # motion with inertia'  # of a starter
+OTHER = {"name": "Rocky 7", "catalog": "rocky7"}  # vehicle of a comparison
 COMMANDS = {"v_x": 0.2, "v_y": 0.0, "omega_z": 0.05}  # of an inverse problem [m/s, rad/s]
 NEEDED = re.compile(r'\b(?:file|friction) = "(.+?)"')  # keys with names of input files
 
 
-Kind = Literal["direct", "inverse", "plan", "atlas"]  # of a problem: the name of its template
+Kind = Literal[
+    "direct", "inverse", "plan", "atlas", "compare"
+]  # of a problem: the name of its template
 
 
 def new(
@@ -60,8 +64,8 @@ def new(
 
     Parameters
     ----------
-    kind : {"direct", "inverse", "plan", "atlas"}
-        Kind of the problem: direct, inverse, plan or atlas.
+    kind : {"direct", "inverse", "plan", "atlas", "compare"}
+        Kind of the problem: direct, inverse, plan, atlas or compare.
     name : path
         Name of the problem.
     ground : path, optional
@@ -89,6 +93,7 @@ def new(
             )
         import numpy as np
 
+        from slipfree.contact.closure import has_exact_closure
         from slipfree.problem.build_vehicle import build_vehicle
         from slipfree.routing.traversability import extents
 
@@ -106,8 +111,12 @@ def new(
                 f"{ground}: expected a place where the vehicle stands, found that it stands "
                 f"{words}; choose another map or vehicle"
             )
-        spec = problem.spec
-        tables = {name: getattr(spec, name).model_dump(exclude_unset=True) for name in OWN}
+        spec, built = problem.spec, build_vehicle(problem)
+        if not has_exact_closure(built):  # as required by quasi-statics
+            text = text.replace(*RIGID)
+        tables: dict[str, Any] = {
+            name: getattr(spec, name).model_dump(exclude_unset=True) for name in OWN
+        }
         for table in tables.values():
             if "file" in table:
                 table["file"] = Path(os.path.relpath(table["file"], out.parent)).as_posix()
@@ -117,9 +126,11 @@ def new(
             tables["start"] = {**place, "heading": f"{math.degrees(heading) % 360:g} deg"}
         if kind == "inverse":
             tables["given"] = COMMANDS
+        if kind == "compare":
+            tables["vehicles"] = [{"name": Path(vehicle).stem, **tables.pop("vehicle")}, OTHER]
         if kind == "plan":
             # ahead, left, right or behind: the farthest place that is on the map
-            reach, here = extents(build_vehicle(problem))[2], np.array([*place.values()])
+            reach, here = extents(built)[2], np.array([*place.values()])
             west, east, south, north = surface.grid.domain
             low, high = np.array([west, south]), np.array([east, north])
             margin = np.minimum(reach, (high - low) / 2)
@@ -131,25 +142,27 @@ def new(
             tables["goal"] = dict(zip("xy", goal, strict=True))
         text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
     write_new_file(text, out, force)
-    solve = "atlas" if kind == "atlas" else "run"
-    print_line(f"wrote {out}: slipfree check {word} && slipfree {solve} {word}")
+    solve = kind if kind in ("atlas", "compare") else "run"
+    check = f"slipfree check {word} && " * (kind != "compare")
+    print_line(f"wrote {out}: {check}slipfree {solve} {word}")
 
 
-def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, dict[str, Any]]) -> str:
+def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, Any]) -> str:
     """Return the text of a problem with another title, and with tables in place of its own.
 
     In a plan, tables about the motion are removed as well: they belong to the shipped ground.
     """
     own = ""
     for name, table in tables.items():
-        own += f"[{name}]{f'  # {TABLES[name]}' if name in TABLES else ''}\n"
-        own += f"{tomlkit.dumps(table)}\n"
+        if isinstance(table, dict):
+            own += f"[{name}]{f'  # {TABLES[name]}' if name in TABLES else ''}\n"
+        own += f"{tomlkit.dumps(table if isinstance(table, dict) else {name: table})}\n"
     replaced = {*tables, *(("limits", "bounds", "inputs", "time", "plan") * (kind == "plan"))}
     head, *sections = re.split(r"(?m)^(?=\[)", text)
     kept = (each for each in sections if re.findall(r"\w+", each)[0] not in replaced)
     line = f"title = {json.dumps(title, ensure_ascii=False)}"
     head = re.sub(r"(?m)^title = .*", lambda _: line, head)
-    return re.sub(r" (A three-wheeler|All others) .*", "", head + own + "".join(kept))
+    return re.sub(r" (A three-wheeler|Two vehicles|All others) .*", "", head + own + "".join(kept))
 
 
 def examples(

@@ -35,8 +35,7 @@ OUTPUT = ("output", "file")  # key of a problem file with the name of its result
 FIGURE = b"\x89PNG"  # first bytes of a PNG file
 PAGES, PICTURES = (".html", ".htm"), (".png", ".svg", ".pdf")  # endings
 Picture = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE.png|.svg|.pdf", help="Draw the vehicle on its ground."),
+    Path | None, typer.Option(metavar="FILE.png|.svg|.pdf", help="Draw the vehicle on its ground.")
 ]
 
 

@@ -32,7 +32,7 @@ def compare(
     """Compare the slip of several vehicles on one ground.
 
     Print whether each vehicle can roll without slip, and the slip that remains otherwise. A problem
-    to begin with: slipfree examples compare_axles.
+    to begin with: slipfree new compare NAME.
     """
     from slipfree.problem.build_ground import ground_facts
     from slipfree.problem.verbs.compare import compare as solve

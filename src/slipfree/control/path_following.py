@@ -222,10 +222,7 @@ def _joints_and_geometry(model: Dae, name: str) -> tuple[dict[str, ca.SX], _Plan
 
 
 def _planar_inputs(
-    model: Dae,
-    states: dict[str, ca.SX],
-    plan: _PlanarGeometry,
-    motion: tuple[ca.SX, ca.SX, float],
+    model: Dae, states: dict[str, ca.SX], plan: _PlanarGeometry, motion: tuple[ca.SX, ca.SX, float]
 ) -> Record:
     """Return the inputs of the planar law: wheel rates and steering rates of a desired motion."""
     v, required, speed = motion

@@ -337,8 +337,7 @@ class StepClimbing:
     def labels(self, wheels: Sequence[str]) -> ControlState:
         """Return the labels of the states for the names of the wheels."""
         return ControlState(
-            _labels(wheels, "error_sum"),
-            _labels(wheels, "direction_seen") if self.senses else (),
+            _labels(wheels, "error_sum"), _labels(wheels, "direction_seen") if self.senses else ()
         )
 
     def commands(self, climber: Vehicle, at: Sensed, x: ControlState, speed: ca.SX) -> Commands:
@@ -399,11 +398,7 @@ def check_period(period: float, control: StepClimbing, climber: Vehicle) -> None
 
 
 def climbing(
-    model: Dae,
-    control: WheelControl,
-    section: Profile | None = None,
-    *,
-    sampled: bool = False,
+    model: Dae, control: WheelControl, section: Profile | None = None, *, sampled: bool = False
 ) -> Dae:
     """Return the dynamic model of a step climber with controlled wheels.
 

@@ -481,11 +481,7 @@ def _at_rest(model: _Model) -> ca.SX:
 
 
 def _solved(
-    dae: Dae,
-    rows: ca.SX,
-    unknowns: ca.SX,
-    known: Sequence[tuple[ca.SX, Array]],
-    start: Array,
+    dae: Dae, rows: ca.SX, unknowns: ca.SX, known: Sequence[tuple[ca.SX, Array]], start: Array
 ) -> Array:
     """Return the solutions of equations by Newton's method with dense matrices, from a start.
 

@@ -285,8 +285,8 @@ def _check_heights(ground_map: elevation.Map, scale: float) -> None:
     if not EARTH[0] <= scale * low <= scale * high <= EARTH[1]:
         raise ModelError(
             f"expected heights from {EARTH[0]:g} to {EARTH[1]:g} m, as on the earth, found "
-            f"{scale * low:g} to {scale * high:g} m; set terrain.vertical_scale, the metres per "
-            "unit of the heights (0.01 for centimetres, 0.1 for decimetres, 1 if they are metres)"
+            f"{scale * low:g} to {scale * high:g} m; set the metres per unit of the heights, as in "
+            "--set terrain.vertical_scale=0.01 for centimetres (0.1: decimetres, 1: metres)"
         )
 
 

@@ -315,13 +315,7 @@ def ramp(
 
 
 @checked
-def ridge(
-    grid: Grid,
-    *,
-    middle: Position,
-    height: Position,
-    width: Length,
-) -> Grid:
+def ridge(grid: Grid, *, middle: Position, height: Position, width: Length) -> Grid:
     """Return the grid with a Gaussian ridge added, its crest perpendicular to the y axis.
 
     Parameters

@@ -31,6 +31,7 @@ from slipfree.core.trajectory import (
     path_length,
 )
 from slipfree.files.netcdf import MAP_TRANSFORM, NOTHING
+from slipfree.files.urdf.links import wheel_name
 from slipfree.laws.soil import Soil
 from slipfree.models.base import is_determinate
 from slipfree.models.friction_feasibility import BEST, best_utilisation
@@ -258,7 +259,9 @@ FIRST_LINES = """\
 *obstacles: {obstacles}: {obstacles.words}
 filled ground: {filled_samples} of {samples} samples have a wheel on interpolated heights; along \
 the contact points: <filled_paths> {wheel} {length:.4g} of {path_length:.4g} m"""
+FASTER = "faster_wheels"  # fact of motions whose wheels exceed limits of their URDF
 LAST_LINES = """\
+*faster than the URDF allows: <faster_wheels> {wheel} {rate:.3g} of {limit:.3g} rad/s
 *!not converged: <not_converged> {name} at {fact} of {samples} samples
 *!diagnostics failed: <failed_diagnostics> {fact}"""
 START_ROWS = rows(
@@ -317,6 +320,13 @@ class DriveVerb(Verb, ABC):
         if setup.vehicle.mass:
             run = run.with_facts({"gravity": Fact(setup.vehicle.gravity, "m s-2")})
         vehicle, grid = setup.vehicle, setup.ground.grid
+        robot = vehicle_file(problem.spec.vehicle, problem).robot
+        joints = robot.tree.joints.values() if robot else ()
+        limits = {wheel_name(joint.name): joint.max_rate for joint in joints}
+        rates = _by_wheel(run, {"rate": np.abs(run["wheel_rate"]).max(axis=0)})
+        rows = [each | {"limit": limits.get(each["wheel"], np.inf)} for each in rates]
+        if faster := [each for each in rows if each["rate"] > each["limit"]]:
+            run = run.with_facts({FASTER: Fact(faster)})
 
         def with_filled(run: Trajectory) -> Trajectory:
             """Return a motion with facts about wheel paths over filled holes of the map."""
