@@ -370,14 +370,14 @@ def test_pictures_have_fine_ground_a_scale_and_paths_on_the_ground(drive: Driven
     assert ground.get_clip_on()
     (bar,), (words, goal) = ax.lines, ax.texts
     assert [each.get_color() for each in ax.get_legend().legend_handles] == [(0, 0, 0), (1, 0, 1)]
-    *_, posts = (each for each in ax.collections if each.get_zorder() == 1)
+    posts, *_ = (each for each in ax.collections if each.get_zorder() == 1)
     assert_allclose(goal.get_position(), posts.get_segments()[0][1])
     assert words.get_text() == f"{np.ptp(bar.get_xdata()):g} m"
     body = scene.actors[0].bodies[0]
     body = body._replace(origins=body.origins + np.linspace(0, 90, len(body.origins))[:, None])
     away = scene._replace(actors=(scene.actors[0]._replace(bodies=(body,)),))
     ax = picture(away, "title", 0.0).make().axes[0]
-    edge, path, _ = (each for each in ax.collections if each.get_zorder() == 1)
+    _, edge, path = (each for each in ax.collections if each.get_zorder() == 1)
     assert 0 < np.nanmax(np.abs(edge.get_segments()[0])) < 2 * ax.get_xlim()[1]
     assert len(path.get_segments()) == len(path.get_colors()) == drive.run.t.size - 1
 
