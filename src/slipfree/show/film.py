@@ -7,7 +7,7 @@ is drawn for each frame of a film, over a picture of the rest.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from subprocess import CalledProcessError
 from typing import Any, cast
@@ -271,22 +271,17 @@ def projected(points: Array, middle: Array) -> Array:
     return np.asarray((points - middle) @ AXES)
 
 
-def draw_faces(
-    artist: PolyCollection, faces: Sequence[Array] | Array, colors: Array, middle: Array
-) -> None:
-    """Draw faces of given colours, from back to front and shaded, facing either side."""
-    if not isinstance(faces, np.ndarray):  # triangles and quadrilaterals
-        faces = np.stack([face[[0, 1, 2, -1]] for face in faces])
+def draw_faces(artist: PolyCollection, faces: Array, colors: Array, middle: Array) -> None:
+    """Draw faces of given colours, shaded, from back to front: those that look at the viewer."""
     corners = faces[:, [0, 1, 2, -1]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals *= np.sign(normals @ SIGHT)[:, None]
-    sizes = np.linalg.norm(normals, axis=1)
-    lit = normals @ LIGHT / np.where(sizes > 0, sizes, 1.0)
+    seen = normals @ SIGHT > 0  # those inside a body could lie on its large faces
+    lit = normals[seen] @ LIGHT / np.linalg.norm(normals[seen], axis=1)
     shade = DARKEST + (1 - DARKEST) * np.clip(lit, 0, 1)
-    places = projected(corners, middle)
+    places = projected(corners[seen], middle)
     order = np.argsort(places[..., 2].mean(axis=1))
     artist.set_verts(places[order, :, :2])  # type: ignore[arg-type]  # faster than a list
-    artist.set_color((shade[:, None] * colors)[order])
+    artist.set_color((shade[:, None] * colors[seen])[order])
 
 
 def _told(scene: Scene) -> list[str]:

@@ -74,12 +74,14 @@ def with_legend(
             nodes.append(f"{WORLD}/run {k}/tracks/{layer.name}")
     size = float(np.linalg.norm(np.ptp(scene.paths, axis=0)))
     # the camera follows the vehicle; the button shows the whole path
-    overview = f'<button data-size="{size:.4g}">overview</button>' if scene.is_far else ""
+    paths = "|".join(f"{WORLD}/run {k}/tracks/path" for k, _ in enumerate(scene.actors, 1))
+    overview = f'<button data-size="{size:.4g}" data-nodes="{paths}">overview</button>'
     box = (
         f'<style>{page_file("viewer.css")}</style><div id="slipfree"><b>{escape(title)}</b>'
         f"<div>{escape(' '.join(words))}</div>"
         f"{_choice('ground', grounds, color)}{_choice('tracks', tracks, colored)}"
-        f"{overview}{switches}{warned}<details><summary>notes</summary>{notes}</details></div>"
+        f"{overview * scene.is_far}{switches}{warned}"
+        f"<details><summary>notes</summary>{notes}</details></div>"
         f'<div id="plots">{_plots(scene)}</div>'
         f"<script>{page_file('viewer_keys.js')}{page_file('viewer_saved.js')}</script>"
     )

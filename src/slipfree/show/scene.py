@@ -219,9 +219,9 @@ class Backdrop(NamedTuple):
     """Ground of a film: plan view with all paths, and the surroundings of a vehicle."""
 
     draw: Callable[[Axes], Any]  # draws the ground on axes in map coordinates
-    # ``near(point, half, count)`` returns faces of the ground around a point, each of shape (n, 3)
-    # [m], with ``count`` nodes per side
-    near: Callable[[Array, float, int], Sequence[Array]]
+    # ``near(point, half, count)`` returns faces of the ground around a point, shape (n, 4, 3) [m],
+    # with ``count`` nodes per side
+    near: Callable[[Array, float, int], Array]
     half: float  # half the width of the surroundings in the view of the vehicle [m]
 
 
@@ -302,10 +302,10 @@ class Scene(NamedTuple):
                     yield style.words(wheel), WHEELS[k % len(WHEELS)], actor.t, values[:, k]
 
     def track_layers(self, actor: Actor) -> list[Layer]:
-        """Return the colourings of the tracks of a motion."""
+        """Return the colourings of the tracks of a motion, none of a vehicle at rest."""
         layers = list[Layer]()
         for each, (low, high) in self.plotted.items():
-            if not each.is_margin and each.name in actor.values:
+            if not each.is_margin and each.name in actor.values and actor.t.size > 1:
                 values, legend = actor.values[each.name], each.words(low, high)
                 layers.append(layer(each.name, values, legend, low, high))
         return layers
@@ -588,9 +588,9 @@ def _backdrop(
     coordinates, ``reach`` the size of the vehicle. [m]
     """
     terrain = first.terrain
-    blocks = [mesh.vertices[face] for mesh in solids for face in mesh.faces]
+    blocks = [mesh.vertices[mesh.faces[:, [0, 1, 2, 2]]] for mesh in solids]
 
-    def near(middle: Array, half: float, count: int) -> Sequence[Array]:
+    def near(middle: Array, half: float, count: int) -> Array:
         """Return faces of ground and solids within ``half`` of a point, in scene coordinates."""
         west, east, south, north = terrain.domain
         x, y = (
@@ -605,7 +605,7 @@ def _backdrop(
         faces = np.stack(corners, axis=2).reshape(-1, 4, 3)
         middle_x, middle_y, _ = np.moveaxis(faces.mean(axis=1) + origin, -1, 0)
         whole = ~terrain.grid.touches(terrain.grid.holes, middle_x, middle_y)
-        return [*faces[whole], *blocks]
+        return np.concatenate([faces[whole], *blocks])
 
     def draw(ax: Axes) -> Axes:
         ground_drawing.solids(first.prisms, ground_drawing.muted(terrain.grid, ax, window))

@@ -36,6 +36,7 @@ VIEW = np.array([0.75, -0.75, 0.65])  # direction to the camera, times its dista
 SKY = 0.5  # ambient light, in addition to viser's two lamps
 FAR = 1000.0  # far plane of the camera, unless the ground is larger [m]
 CLOSE, NEAREST = 3.5, 0.05  # distance of the following camera, and near plane [reach]
+PATH: dict[str, Any] = {"thickness": 3.0, "thickness_units": "screen"}  # [pixels]
 LINES = {"north": 4.0}  # thickness of lines on the ground, by default 1 [pixels]
 POLICY = (  # of a page that asks for nothing: its programs and data are in the page
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' blob: data:; worker-src blob: "
@@ -202,7 +203,7 @@ class _RunNodes:
                 )
         self.tracks = dict[str, Any]()  # nodes of colourings, by name
         # Tracks of contact points are raised against flicker; those of plans are dashed. Tracks in
-        # the colours of quantities lie above the others, hidden.
+        # the colours of quantities lie above the others, hidden, as the path of the overview is.
         root, lift = f"{root}/tracks", LIFT * (len(scene.actors) - k) * scene.reach
         every = max(1, whole.t.size // MOST)
         points, up = whole.contacts[::every], np.array([0.0, 0.0, lift])
@@ -212,6 +213,9 @@ class _RunNodes:
             server.scene.add_mesh_simple(
                 name, mesh.vertices, mesh.faces, color=color, side="double"
             )
+        path = whole.bodies[0].origins[::every]
+        lines = np.stack([path[:-1], path[1:]], axis=1, dtype="f4")
+        server.scene.add_line_segments(f"{root}/path", lines, whole.color, visible=False, **PATH)
         mesh = tracks(points + 1.5 * up, TRACK * scene.reach, dashed=whole.ghost)
         for layer in scene.track_layers(whole):
             colors = np.repeat(layer.colors[::every].swapaxes(0, 1).reshape(-1, 3), 2, axis=0)

@@ -30,8 +30,12 @@
     const {cameraControl: camera, requestRender} = viewer().mutable.current;
     target.dataset.near ??= camera.distance;
     const near = Number(target.dataset.near), isNear = camera.distance < 2 * near;
+    const distance = isNear ? 1.5 * Number(target.dataset.size) : near, lens = camera.camera;
     camera.maxDistance = Infinity;
-    camera.dollyTo(isNear ? 1.5 * Number(target.dataset.size) : near, false);
+    lens.near *= distance / camera.distance;  // else lines sink into ground that is far away
+    lens.updateProjectionMatrix();
+    camera.dollyTo(distance, false);
+    for (const node of target.dataset.nodes.split("|")) show(node, isNear ? "on" : false);
     target.textContent = isNear ? "vehicle" : "overview";
     requestRender();
   });
@@ -45,13 +49,14 @@
   function follow(before) {  // clock, cursors and values of the plots
     const t = time(), max = t !== before && playback()?.max;
     const {first, last} = clock.parentElement.dataset;
-    if (max) clock.textContent = `${(+first + (last - first) * t / max).toFixed(2)} s`;
     if (max) for (const plot of plots) {
       const lines = plot.querySelectorAll("polyline"), count = lines[0].points.length;
       const k = Math.min(Math.floor(t / max * count), count - 1);
+      clock.textContent = `${(+first + (last - first) * k / (count - 1)).toFixed(2)} s`;
       plot.querySelector("line").setAttribute("transform", `translate(${k})`);
+      const digits = Math.max(0, 2 - Math.floor(Math.log10(plot.viewBox.baseVal.height)));
       plot.previousElementSibling.querySelectorAll("b").forEach((value, n) => {
-        value.textContent = Number(lines[n].points[k].y.toPrecision(3));
+        value.textContent = lines[n].points[k].y.toFixed(digits);
       });
     }
     requestAnimationFrame(() => follow(max ? t : before));
