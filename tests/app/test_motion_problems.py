@@ -571,7 +571,7 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
     stop = run_problem(load_problem(HILLS, settings)).trajectory.stop
     assert (stop.name, stop.outcome) == ("plan_accuracy", Outcome.INACCURATE)
     misses = "no usable plan: its simulation misses x by .* m, .*; plan.accuracy allows 1e-07: "
-    assert re.match(f"{misses}refinements of its mesh did not suffice", stop.words)
+    assert re.match(f"{misses}its refined meshes did not suffice; raise plan.int", stop.words)
     assert stop.words.endswith("\non the mobility map no route leads: False")
 
 

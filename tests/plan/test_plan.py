@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -31,6 +32,7 @@ GOAL = {"x": 0.6, "y": 2.6}
 WEIGHTS = {"slip": 7e4, "effort": 0.01}
 VEHICLE = three_wheeler(axle="fixed")
 STEER = {"steer": (-1.0, 1.0)}
+TWO = sf.Cost("two", ca.SX(2, 1), "m", "")
 
 
 def asked(*, goal=None, costs=None, duration=20.0, **options):
@@ -117,9 +119,10 @@ def test_a_pose_a_way_point_and_a_range_of_durations():
         ({"costs": {"slip": -1.0}}, "costs.'slip'.: expected a number >= 0, found -1"),
         ({"cost_limits": {"effort": 0.0}}, "cost_limits.'effort'.: expected a number > 0"),
         ({"duration": 0.0}, "expected a positive, finite duration"),
+        ({"limits": {"steer": (1.0, -1.0)}}, "steer.*: expected ascending bounds, found 1.0 to"),
         (
-            {"limits": {"steer": (1.0, -1.0)}},
-            "steer.*: expected ascending bounds, found 1.0 to -1.0",
+            {"costs": [TWO]},
+            r"two: expected a scalar .* shape \(2, 1\); give",
         ),
         ({"way_points": {1.0: {"x": 0.0}}}, "way_points: expected fractions of the duration above"),
         ({"accelerations": {"x": (0, 1)}}, "inputs: expected one of right_rate, .* found 'x'"),

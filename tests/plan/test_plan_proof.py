@@ -188,36 +188,37 @@ def test_a_limit_of_the_plan_that_the_model_has_too_is_verified_as_given(model, 
         assert (shown.violation.get("tip_over"), shown.accurate) == (over, over is None)
 
 
-AGAIN = [f"from a motion without costs, {each} slip cost" for each in ("without", "with")]
+COARSE = ["without slip cost", "with slip cost"]
+AGAIN = [f"from a motion without costs, {each}" for each in COARSE]
+FINER = [*COARSE, "8 intervals"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("status", "later"),
-    [("Restoration_Failed", AGAIN), ("Maximum_Iterations_Exceeded", ["with slip cost"])],
-)
-def test_a_search_that_gets_stuck_starts_again_from_a_motion_that_meets_all_constraints(
-    model, coarse, monkeypatch, status, later
-):
-    left = iter([{"status": status, "success": False}])
-    solve = searching.solve_program
+def get_stuck(monkeypatch, at, status="Restoration_Failed"):
+    """Let the search ``at`` an index get stuck."""
+    left, solve = iter([{}] * at + [{"status": status, "success": False}]), searching.solve_program
 
     def stuck(*args, **options):
         return solve(*args, **options)._replace(**next(left, {}))
 
     monkeypatch.setattr(searching, "solve_program", stuck)
-    plan = asked(model)
-    assert [stage.words for stage in plan.stages] == ["without slip cost", *later]
-    assert (plan.stages[0].status, plan.run.stop) == (status, None)
-    assert plan.solution.cost == pytest.approx(coarse.solution.cost, rel=1e-6)
 
 
 @pytest.mark.slow
-def test_a_plan_with_many_intervals_is_found_on_meshes_with_fewer(model, coarse, monkeypatch):
-    monkeypatch.setattr(searching, "MOST_AT_ONCE", 4)
+@pytest.mark.parametrize(
+    ("at", "status", "most", "words"),
+    [
+        (0, "Restoration_Failed", 80, [*COARSE[:1], *AGAIN]),
+        (0, "Maximum_Iterations_Exceeded", 80, COARSE),
+        (3, "", 4, FINER),
+        (2, "Restoration_Failed", 4, [*FINER, *(f"8 intervals, {each}" for each in COARSE)]),
+    ],
+)
+def test_a_search_that_gets_stuck_starts_again(model, coarse, monkeypatch, at, status, most, words):
+    """From a motion that meets all constraints; after a search on a coarser mesh from the guess."""
+    get_stuck(monkeypatch, at, status)
+    monkeypatch.setattr(searching, "MOST_AT_ONCE", most)
     plan = asked(model)
-    words = ["without slip cost", "with slip cost", "8 intervals"]
-    assert [stage.words for stage in plan.stages] == words
+    assert ([stage.words for stage in plan.stages], plan.run.stop) == (words, None)
     assert_array_equal(plan.program.mesh.ends, coarse.program.mesh.ends)
     assert plan.solution.cost == pytest.approx(coarse.solution.cost, rel=1e-6)
 
@@ -225,8 +226,7 @@ def test_a_plan_with_many_intervals_is_found_on_meshes_with_fewer(model, coarse,
 @pytest.mark.slow
 def test_a_plan_starts_from_itself_and_from_others(model, coarse):
     again = asked(model, search=sf.Search(resume=coarse.saved))
-    assert again.success
-    assert again.stages[0].words == "resumed"
+    assert (again.success, again.stages[0].words) == (True, "resumed")
     assert again.stages[0].iterations <= 3
     assert_allclose(again.run["x"], coarse.run["x"], atol=1e-8)
     moved = asked(model, goal=(0.105, 1.365), search=sf.Search(resume=coarse.saved))
@@ -239,7 +239,7 @@ def test_a_plan_starts_from_itself_and_from_others(model, coarse):
 
 
 @pytest.mark.slow
-def test_limits_on_which_a_plan_rests_are_there_when_it_is_resumed():
+def test_limits_on_which_a_plan_rests_are_there_when_it_is_resumed(monkeypatch):
     vehicle = three_wheeler(axle="fixed", center_of_mass=(0.0, 0.0, 6.0))
     dae = sf.direct_kinematics(vehicle, sf.Analytic(hills))
     high = dae, sf.settle(dae)
@@ -251,6 +251,9 @@ def test_limits_on_which_a_plan_rests_are_there_when_it_is_resumed():
     again = asked(high, first, **options, search=sf.Search(resume=found.saved))
     assert [stage.words for stage in again.stages] == ["resumed"]
     assert again.stages[0].iterations <= found.stages[1].iterations
+    get_stuck(monkeypatch, 1)
+    anew = asked(high, first, **options)
+    assert (anew.success, anew.stages[2].words) == (True, "from a motion without costs, all costs")
 
 
 def test_unknowns_are_carried_to_a_finer_mesh(coarse):

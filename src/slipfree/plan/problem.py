@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, repeat
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -23,6 +23,7 @@ from slipfree.solve.sampling import TURN, periodic_states
 
 DURATIONS = (0.5, 2.0)  # default range of the duration, relative to that of the initial guess
 HALF_TURN = np.pi + 1e-3  # such as a goal of 3.1416: both ways are short [rad]
+Term = TypeVar("Term", Limit, Cost)
 Range = Annotated[tuple[float, float], ASCENDING]
 # values or ranges by name, or limits in the symbols of the model
 Conditions = Annotated[Mapping[str, float | Range], BY_NAME] | Sequence[Limit]
@@ -63,8 +64,19 @@ def duration_of(value: float | Range) -> Range:
 def costs_of(dae: Dae, costs: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
     """Return the terms of the cost from weights by name, or terms unchanged."""
     if not isinstance(costs, Mapping):
-        return tuple(costs)
+        return _scalars(costs)
     return tuple(_cost_term(dae, name)._replace(weight=weight) for name, weight in costs.items())
+
+
+def _scalars(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Return terms unchanged; ModelError is raised unless the expression of each is a scalar."""
+    for each in terms:
+        if (shape := each.expression.shape) != (1, 1):
+            raise ModelError(
+                f"plan: {each.label.full}: expected a scalar expression, found one of shape "
+                f"{shape}; give each of its entries its own limit or cost"
+            )
+    return tuple(terms)
 
 
 def cost_limits_of(
@@ -123,7 +135,7 @@ def _driving_power(dae: Dae) -> ca.SX:
 def limits_of(dae: Dae, limits: Conditions) -> tuple[Limit, ...]:
     """Return limits from values or ranges by name, in map coordinates, or limits unchanged."""
     if not isinstance(limits, Mapping):
-        return tuple(limits)
+        return _scalars(limits)
     return tuple(limit for name, value in limits.items() for limit in _conditions(dae, name, value))
 
 

@@ -238,7 +238,8 @@ def solve_guesses(
     """Solve the program of a task from each guess, and return the solutions, best first.
 
     With more than `MOST_AT_ONCE` intervals, each guess is first solved on meshes of half and, if
-    need be, of a quarter and fewer of them; a failure there is the result.
+    need be, of a quarter and fewer of them; a failure on the coarsest one is the result. After a
+    failure on a finer mesh, the search begins again there, from the guess.
     """
     programs = [transcribe(task, mesh, options)]
     while mesh.ends.size - 1 > max(MOST_AT_ONCE, 4 * len(task.conditions)):
@@ -249,12 +250,16 @@ def solve_guesses(
     searches: list[SearchState] = []
     for number, (name, guess) in enumerate(guesses, 1):
         of = f"guess {number} of {len(guesses)}, " if len(guesses) > 1 else ""
-        program, *finer = programs
+        program, *others = programs
         search = _solve_in_stages(program, guess_unknowns(program, guess), of, progress)
-        for program in finer:
+        for program in others:
             if search.found.success and search.found.status != TIME_STATUS:
                 words = f"{of}{program.mesh.ends.size - 1} intervals"
-                search = _solve_anew(search, program, words, progress, near=True)
+                finer = _solve_anew(search, program, words, progress, near=True)
+                if not (finer.found.success or finer.found.status in ENDED_STATUSES):
+                    again = guess_unknowns(program, guess)
+                    finer = _solve_in_stages(program, again, f"{words}, ", progress, finer.stages)
+                search = finer
         searches.append(search._replace(name=name, number=number))
         if search.found.status in ENDED_STATUSES:
             break
@@ -275,11 +280,10 @@ def solve_relaxed(
     if not relaxation.success or relaxation.relaxed:
         return search._replace(relaxation=relaxation)
     of = "from a motion without costs, "
-    again = _solve_in_stages(search.program, relaxation.solution, of, progress)
-    stages = search.stages + again.stages
+    again = _solve_in_stages(search.program, relaxation.solution, of, progress, search.stages)
     if again.found.success:
         search = again._replace(name=search.name, number=search.number)
-    return search._replace(relaxation=relaxation, stages=stages)
+    return search._replace(relaxation=relaxation, stages=again.stages)
 
 
 def best_verified(
@@ -341,9 +345,16 @@ def _rank(search: SearchState) -> tuple[bool, float]:
 
 
 def _solve_in_stages(
-    program: Program, first: Array, of: str, progress: PlanProgress | None
+    program: Program,
+    first: Array,
+    of: str,
+    progress: PlanProgress | None,
+    before: tuple[SolvedStage, ...] = (),
 ) -> SearchState:
-    """Solve the program; if slip is a cost, start from the solution without this cost."""
+    """Solve the program; if slip is a cost, start from the solution without this cost.
+
+    ``before`` are the stages of the search so far.
+    """
     slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
     words = f"{of}without slip cost" if slips else f"{of}all costs"
     part, most = (0.0, MAX_FIRST_ITERATIONS) if slips else (1.0, MAX_ITERATIONS)
@@ -360,7 +371,7 @@ def _solve_in_stages(
             best = best._replace(success=status == TIME_STATUS, status=status)
             more = search._replace(found=best)
         search = more._replace(stages=stages)
-    return search._replace(first=first)
+    return search._replace(first=first, stages=before + search.stages)
 
 
 def solve_resumed(
@@ -427,7 +438,10 @@ def cost_weights(program: Program, part: float) -> Array:
 
 
 def _add_limits(search: SearchState, progress: PlanProgress | None) -> SearchState:
-    """Add violated limits of the model and solve again, at most `MAX_LIMIT_ROUNDS` times."""
+    """Add violated limits of the model and solve again, at most `MAX_LIMIT_ROUNDS` times.
+
+    If the search then fails, it continues from a motion without costs, if there is one.
+    """
     for _ in range(MAX_LIMIT_ROUNDS):
         program, solution = search.program, search.found
         if not solution.success:
@@ -440,6 +454,8 @@ def _add_limits(search: SearchState, progress: PlanProgress | None) -> SearchSta
         fuller = replace(program.task, limits=(*program.task.limits, *missed))
         fuller_program = transcribe(fuller, program.mesh, program.options)
         search = _solve_anew(search, fuller_program, words, progress)
+        if not (search.found.success or search.found.status in ENDED_STATUSES):
+            search = solve_relaxed(search, program.task.deadline, progress)
     return search
 
 

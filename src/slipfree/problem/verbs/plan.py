@@ -610,7 +610,7 @@ def _inaccurate(setup: plan_setup.Planning, plan: Plan | LongPlan) -> trajectory
     worst = missed_words(missed, plan.units) or "a narrow limit"
     last = plan.stages[-1]
     why = {
-        SOLVED_STATUS: "refinements of its mesh did not suffice; raise plan.accuracy",
+        SOLVED_STATUS: "its refined meshes did not suffice; raise plan.intervals or plan.accuracy",
         STOPPED_STATUS: "the refinement of its mesh was stopped",
         TIME_STATUS: "the time limit ended the refinement of its mesh; raise plan.seconds",
     }.get(
