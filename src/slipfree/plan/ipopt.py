@@ -204,12 +204,8 @@ def solve_program(
 
 def warm_solver(program: Program, iterations: int) -> ca.Function:
     """Return an IPOPT solver for a start near a solution, without multipliers."""
-    ipopt = WARM_OPTIONS | {
-        "max_iter": iterations,
-        "mu_strategy": "monotone",
-        "mu_init": WARM_BARRIER,
-    }
-    return _ipopt_solver(program, ipopt, {})
+    ipopt = {"max_iter": iterations, "mu_strategy": "monotone", "mu_init": WARM_BARRIER}
+    return _ipopt_solver(program, WARM_OPTIONS | ipopt, {})
 
 
 def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, Any]) -> ca.Function:

@@ -362,8 +362,7 @@ def solve_task(
     fractions = [condition.fraction for condition in task.conditions]
     ends = np.union1d(np.linspace(0, 1, (mesh.intervals or intervals) + 1), fractions)
     first = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], mesh.degree)
-    conditions = near_conditions(model, task.conditions, task.periodic, near)
-    task = replace(task, conditions=conditions)
+    task = replace(task, conditions=near_conditions(model, task.conditions, task.periodic, near))
     if former is None:
         named = [(f"guess {number}", each) for number, each in enumerate(motions, 1)]
         missing = max(search.starts - len(motions), 0)

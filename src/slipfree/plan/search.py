@@ -183,9 +183,8 @@ def further_guesses(
 
 def _simulated(dae: Dae, start: Trajectory, inputs: Array, t: Array) -> Trajectory:
     middles = (inputs[:, 1:] + inputs[:, :-1]) / 2
-    rough = SolverOptions(tolerance=GUESS_TOLERANCE)
     law = dae.inputs(**dict(zip(dae.input_names, middles, strict=True)))
-    return simulate_to_failure(dae, start, law, t, rough)
+    return simulate_to_failure(dae, start, law, t, SolverOptions(tolerance=GUESS_TOLERANCE))
 
 
 def count_distinct(optima: Sequence[LocalOptimum]) -> int:
@@ -257,8 +256,9 @@ def solve_guesses(
                 words = f"{of}{program.mesh.ends.size - 1} intervals"
                 finer = _solve_anew(search, program, words, progress, near=True)
                 if not (finer.found.success or finer.found.status in ENDED_STATUSES):
-                    again = guess_unknowns(program, guess)
-                    finer = _solve_in_stages(program, again, f"{words}, ", progress, finer.stages)
+                    before, first = finer.stages, guess_unknowns(program, guess)
+                    finer = _solve_in_stages(program, first, f"{words}, ", progress)
+                    finer = finer._replace(stages=before + finer.stages)
                 search = finer
         searches.append(search._replace(name=name, number=number))
         if search.found.status in ENDED_STATUSES:
@@ -280,10 +280,11 @@ def solve_relaxed(
     if not relaxation.success or relaxation.relaxed:
         return search._replace(relaxation=relaxation)
     of = "from a motion without costs, "
-    again = _solve_in_stages(search.program, relaxation.solution, of, progress, search.stages)
+    again = _solve_in_stages(search.program, relaxation.solution, of, progress)
+    stages = search.stages + again.stages
     if again.found.success:
         search = again._replace(name=search.name, number=search.number)
-    return search._replace(relaxation=relaxation, stages=again.stages)
+    return search._replace(relaxation=relaxation, stages=stages)
 
 
 def best_verified(
@@ -345,16 +346,9 @@ def _rank(search: SearchState) -> tuple[bool, float]:
 
 
 def _solve_in_stages(
-    program: Program,
-    first: Array,
-    of: str,
-    progress: PlanProgress | None,
-    before: tuple[SolvedStage, ...] = (),
+    program: Program, first: Array, of: str, progress: PlanProgress | None
 ) -> SearchState:
-    """Solve the program; if slip is a cost, start from the solution without this cost.
-
-    ``before`` are the stages of the search so far.
-    """
+    """Solve the program; if slip is a cost, start from the solution without this cost."""
     slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
     words = f"{of}without slip cost" if slips else f"{of}all costs"
     part, most = (0.0, MAX_FIRST_ITERATIONS) if slips else (1.0, MAX_ITERATIONS)
@@ -371,7 +365,7 @@ def _solve_in_stages(
             best = best._replace(success=status == TIME_STATUS, status=status)
             more = search._replace(found=best)
         search = more._replace(stages=stages)
-    return search._replace(first=first, stages=before + search.stages)
+    return search._replace(first=first)
 
 
 def solve_resumed(
@@ -415,13 +409,9 @@ def _solve_stage(
     solution with multipliers, ``most`` the maximum number of iterations.
     """
     on_iterate = None if progress is None else lambda iterate: progress(words, iterate)
+    weights = cost_weights(program, part)
     solution = solve_program(
-        program,
-        cost_weights(program, part),
-        first,
-        warm=warm,
-        iterations=most,
-        on_iterate=on_iterate,
+        program, weights, first, warm=warm, iterations=most, on_iterate=on_iterate
     )
     names = ("iterations", "status", "seconds", "cost")
     stage = SolvedStage(words, *(getattr(solution, name) for name in names))
@@ -595,5 +585,6 @@ def cost_terms(program: Program, unknowns: Array) -> dict[str, float]:
     names = [cost.label.name for cost in program.task.costs]
     names += ["smoothness"] if program.task.smooth else []
     w = unknowns / program.scale
-    pairs = zip(names, units, strict=False)
-    return {name: float(program.gradient(w, unit)[0]) for name, unit in pairs}
+    return {
+        name: float(program.gradient(w, one)[0]) for name, one in zip(names, units, strict=False)
+    }
