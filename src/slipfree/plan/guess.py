@@ -105,9 +105,8 @@ def trip_of(task: PlanTask, dae: Dae, start: Trajectory) -> Trip:
         if len({"x", "y"} & ranges.keys()) > (role != GOAL):
             places.append(_middle(role, ranges, places[-1], dae.ground.domain))
     heading = sum(ranges["heading"]) / 2 if "heading" in ranges else None
-    return Trip(
-        dae, driven_vehicle(dae), start, np.array(places), heading, task.dae.replay is not None
-    )
+    has_inertia = task.dae.replay is not None
+    return Trip(dae, driven_vehicle(dae), start, np.array(places), heading, has_inertia)
 
 
 def on_map(name: str, axis: str, bounds: Range, domain: tuple[float, ...]) -> Range:

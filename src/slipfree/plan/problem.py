@@ -125,10 +125,8 @@ def _driving_power(dae: Dae) -> ca.SX:
     A power ``p`` contributes ``p (1 + tanh(p / e)) / 2`` with ``e`` = `BLENDED_POWER`, which is
     zero at standstill, and exact where the size of ``p`` is large.
     """
-    powers = [
-        torque * rate
-        for torque, rate in zip(dae.named("drive_torque"), dae.named("wheel_rate"), strict=True)
-    ]
+    pairs = zip(dae.named("drive_torque"), dae.named("wheel_rate"), strict=True)
+    powers = [torque * rate for torque, rate in pairs]
     return ca.SX(sum(p * (1 + ca.tanh(p / BLENDED_POWER)) / 2 for p in powers))
 
 
@@ -282,10 +280,8 @@ def near_conditions(
         for limit in condition.limits:
             k = next((k for k, x in symbols if ca.is_equal(limit.expression, x)), None)
             if k is not None and limit.upper - limit.lower < TURN:
-                middle, values = (
-                    (limit.lower + limit.upper) / 2,
-                    [float(each[k]) for each in states],
-                )
+                middle = (limit.lower + limit.upper) / 2
+                values = [float(each[k]) for each in states]
                 if min(abs(value - middle) for value in values) > HALF_TURN:
                     turns = TURN * round((values[0] - middle) / TURN)
                     limit = limit._replace(lower=limit.lower + turns, upper=limit.upper + turns)

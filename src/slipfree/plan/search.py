@@ -413,8 +413,7 @@ def _solve_stage(
     solution = solve_program(
         program, weights, first, warm=warm, iterations=most, on_iterate=on_iterate
     )
-    names = ("iterations", "status", "seconds", "cost")
-    stage = SolvedStage(words, *(getattr(solution, name) for name in names))
+    stage = SolvedStage(words, *attrgetter("iterations", "status", "seconds", "cost")(solution))
     return SearchState(program, solution, first, (stage,))
 
 
@@ -585,6 +584,5 @@ def cost_terms(program: Program, unknowns: Array) -> dict[str, float]:
     names = [cost.label.name for cost in program.task.costs]
     names += ["smoothness"] if program.task.smooth else []
     w = unknowns / program.scale
-    return {
-        name: float(program.gradient(w, one)[0]) for name, one in zip(names, units, strict=False)
-    }
+    pairs = zip(names, units, strict=False)
+    return {name: float(program.gradient(w, unit)[0]) for name, unit in pairs}
