@@ -17,7 +17,7 @@ from slipfree.show.plots import draw
 
 DOCS = Path(__file__).parent
 FOLDER = DOCS / "figures" / "gallery"
-DPI, COLORS = 150, 64  # of the figures, which pages show at half their size or less
+DPI, COLORS = 150, 256  # of the figures, which pages show at half their size or less
 OCTREE = Image.Quantize.FASTOCTREE  # keeps greys grey, and the few pixels of arrows magenta
 
 

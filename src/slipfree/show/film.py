@@ -42,7 +42,7 @@ ROOM = 1.05  # end of the axis of curves over that of the quantity: lines at the
 FILM_HEIGHT, PICTURE_HEIGHT = 125.0, 110.0  # [mm]
 HEIGHT = 0.62  # height of the view over its width
 WIDE = 2.2  # width of the ground in a picture over that in a film [1]
-FILM_NODES, PICTURE_NODES = 24, 90  # nodes of the ground per side
+FILM_NODES, PICTURE_NODES = 40, 90  # nodes of the ground per side
 GROUND = (0.90, 0.85, 0.77)  # colour of the ground
 SOLID = {"lw": 1.4}  # look of lines
 SCALE = 0.3  # least length of the scale bar [half the width of the view]
@@ -197,14 +197,14 @@ class View:
         ax.set_axis_off()
         high = HEIGHT * half
         ax.set(xlim=(-half, half), ylim=(-high, high), aspect="equal")
-        self.ground = PolyCollection([], lw=0.4)
+        self.grounds = PolyCollection([], lw=0.4), PolyCollection([], lw=0.4)  # ground, solids
         self.paths = list[tuple[Array, LineCollection]]()
         self.labels = list[tuple[Array, Text]]()
         self.vehicle = PolyCollection([], lw=0.3)
         self.arrows = LineCollection([], lw=1.4)
-        self.artists: list[Any] = [self.ground, self.vehicle, self.arrows]
+        self.artists: list[Any] = [*self.grounds, self.vehicle, self.arrows]
         for number, artist in enumerate(self.artists):
-            artist.set_zorder(2 * number)
+            artist.set_zorder(2 * number - 2)
             ax.add_collection(artist, autolim=False)
         length, low = round_step(SCALE * half), -0.98 * high
         ax.plot([-half, length - half], [low, low], color="black", lw=1.5, solid_capstyle="butt")
@@ -228,14 +228,15 @@ class View:
             line = LineCollection([], colors=colors, zorder=1, **look)
             self.ax.add_collection(line, autolim=False)
             self.paths.append((points, line))
-            self.artists.insert(len(self.paths), line)  # above the ground
+            self.artists.insert(1 + len(self.paths), line)  # above the ground
 
     def show(self, scene: Scene, t: float) -> None:
         """Draw the first vehicle of a scene at a time [s] on the ground around it."""
         actor = scene.actors[0].at(t)
         middle = actor.bodies[0].origins[0]
         near = scene.backdrop.near(middle, self.half, self.count)
-        draw_faces(self.ground, near, np.tile(GROUND, (len(near), 1)), middle)
+        for artist, faces in zip(self.grounds, near, strict=True):
+            draw_faces(artist, faces, np.tile(GROUND, (len(faces), 1)), middle)
         for path, line in self.paths:  # as far as the ground
             is_near = (np.abs(path - middle)[..., :2] <= self.half).all(axis=-1, keepdims=True)
             line.set_segments([*projected(np.where(is_near, path, np.nan), middle)[..., :2]])
@@ -243,13 +244,13 @@ class View:
             text.set_visible(bool((np.abs(point - middle)[:2] <= self.half).all()))
             x, y, _ = projected(point, middle)
             text.set_position((x, y))
-        faces, colors = list[Array](), list[Array]()
+        parts, colors = list[Array](), list[Array]()
         for body in actor.bodies:
             for mesh, color in body.meshes:
                 points = mesh.vertices @ body.rotations[0].T + body.origins[0]
-                faces.append(points[mesh.faces])
+                parts.append(points[mesh.faces])
                 colors.append(np.tile(_shares(color), (len(mesh.faces), 1)))
-        draw_faces(self.vehicle, np.concatenate(faces), np.concatenate(colors), middle)
+        draw_faces(self.vehicle, np.concatenate(parts), np.concatenate(colors), middle)
         lines, looks = list[Array](), list[tuple[float, float, float]]()
         for each in actor.arrows:
             segments = arrow_lines(each.starts[0], scene.scales[each.name] * each.vectors[0], SIGHT)

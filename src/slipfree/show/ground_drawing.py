@@ -146,7 +146,7 @@ def plan_marks(
     """
     west, east, south, north = *ax.get_xlim(), *ax.get_ylim()
     if wanted is not None:
-        ax.plot(*wanted.T, color="black", ls=(0, (4, 2)), lw=1.0, zorder=5, label="path to follow")
+        ax.plot(*wanted.T, color="black", ls=(0, (4, 2)), lw=1.0, zorder=2, label="path to follow")
     for region in keep_out:
         x_min, x_max, y_min, y_max = region.bounds
         if x_min < east and x_max > west and y_min < north and y_max > south:

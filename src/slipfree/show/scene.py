@@ -219,9 +219,9 @@ class Backdrop(NamedTuple):
     """Ground of a film: plan view with all paths, and the surroundings of a vehicle."""
 
     draw: Callable[[Axes], Any]  # draws the ground on axes in map coordinates
-    # ``near(point, half, count)`` returns faces of the ground around a point, shape (n, 4, 3) [m],
-    # with ``count`` nodes per side
-    near: Callable[[Array, float, int], Array]
+    # ``near(point, half, count)`` returns faces of the ground around a point, with ``count`` nodes
+    # per side, and of the solids, each of shape (n, 4, 3) [m]
+    near: Callable[[Array, float, int], tuple[Array, Array]]
     half: float  # half the width of the surroundings in the view of the vehicle [m]
 
 
@@ -590,7 +590,7 @@ def _backdrop(
     terrain = first.terrain
     blocks = [mesh.vertices[mesh.faces[:, [0, 1, 2, 2]]] for mesh in solids]
 
-    def near(middle: Array, half: float, count: int) -> Array:
+    def near(middle: Array, half: float, count: int) -> tuple[Array, Array]:
         """Return faces of ground and solids within ``half`` of a point, in scene coordinates."""
         west, east, south, north = terrain.domain
         x, y = (
@@ -605,7 +605,7 @@ def _backdrop(
         faces = np.stack(corners, axis=2).reshape(-1, 4, 3)
         middle_x, middle_y, _ = np.moveaxis(faces.mean(axis=1) + origin, -1, 0)
         whole = ~terrain.grid.touches(terrain.grid.holes, middle_x, middle_y)
-        return np.concatenate([faces[whole], *blocks])
+        return faces[whole], np.concatenate([faces[:0], *blocks])
 
     def draw(ax: Axes) -> Axes:
         ground_drawing.solids(first.prisms, ground_drawing.muted(terrain.grid, ax, window))
