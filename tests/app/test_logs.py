@@ -135,6 +135,7 @@ READ = {  # text, further columns in the problem
     ),
     "quaternions": (quaternions("t,left,right,x,y,qx,qy,qz,qw", 4), ""),
     "quaternions by number": (quaternions("t,left,right,x,y,q[1],q[2],q[3],q[0]", 4), ""),
+    "quaternions of ArduPilot": (quaternions("t,left,right,x,y,Q2,Q3,Q4,Q1", 4), ""),
     "quaternions of a plane": (quaternions("t,left,right,x,y,qz,qw", 2), ""),
     "names of messages": (quaternions(ROS, 4), ""),
     "topics in rows of their own": (merged(), ""),
@@ -255,6 +256,10 @@ REFUSED = {
         table(DRIVE, "t,left [m/s],right [m/s],x,y,heading"),
         "expected values in rad/s .* found m/s; divide the speeds by the radius of the wheels",
     ),
+    "rates of one side in rpm": (changed({2: lambda r: r / 0.10472}), "on the right .* in rpm, as"),
+    "a side that is not recorded": (changed({1: np.zeros_like}), "on both sides or zero on one"),
+    "positions without motion": (changed(dict.fromkeys((3, 4), np.zeros_like)), "that change"),
+    "y to the right": (changed({4: np.negative}), "headings and wheels .*; change the sign of y$"),
     "late inputs": (table(np.c_[DRIVE[30:, 0], DRIVE[:-30, 1:3], DRIVE[30:, 3:]]), "3 s before"),
     "no rates": (table(DRIVE[:, [0, 3, 4, 5]], "t,x,y,heading"), "found no column 'right'"),
 }

@@ -23,7 +23,7 @@ def plane(x, y):
     return 30 + 0.2 * (x - WEST) - 0.1 * (y - SOUTH)
 
 
-def cloud(path, places=None, z=None, *, kind=None, crs="EPSG:32633", keys=()):
+def cloud(path, places=None, z=None, *, kind=None, crs="EPSG:32633", keys=(), scale=1e-3):
     """Write points with millimetres as LAS 1.4, or as LAS 1.2 with GeoTIFF keys.
 
     By default, they are scattered and lie on the plane.
@@ -32,7 +32,7 @@ def cloud(path, places=None, z=None, *, kind=None, crs="EPSG:32633", keys=()):
     z = plane(*places.T) if z is None else z
     modern = not keys
     header = laspy.LasHeader(point_format=6 if modern else 1, version="1.4" if modern else "1.2")
-    header.scales, header.offsets = [1e-3] * 3, [WEST, SOUTH, 0]
+    header.scales, header.offsets = [1e-3, 1e-3, scale], [WEST, SOUTH, 0]
     if keys:
         record = laspy.vlrs.known.GeoKeyDirectoryVlr()
         words = np.array([(key, 0, 1, value) for key, value in keys]).reshape(-1)
@@ -142,6 +142,7 @@ def test_the_unit_of_heights_is_that_of_the_file(tmp_path, crs, keys, length, wo
         ({"crs": "EPSG:4326"}, r"a point cloud in metres, found degrees .*pdal translate"),
         ({"keys": ((3076, 9002), (3072, 32767))}, r"in metres, found the unit 'foot'"),
         ({"crs": "EPSG:32633+5715"}, r"upward, found depths, .*'Z = Z \* -1'"),
+        ({"scale": 0.3}, "a cell, 1 m, found the scale 0.3 m .*; set spacing = 1.2 or more"),
         ({"places": scattered()[:2]}, "at least 3 points, found 2; use another file"),
         ({"places": scattered() * [0, 1] + [WEST, 0]}, "a surface, found that they lie on a l"),
     ],
@@ -320,10 +321,15 @@ def test_damaged_files_are_refused_by_name(tmp_path, name, data, words):
 def test_a_surface_whose_y_is_upward_is_refused(tmp_path, height):
     (x, y, z), path = PLANE.T, tmp_path / "a.ply"
     z = z + height * np.sin(x) * np.cos(y)
-    for order, words in ((x, y, z), ""), ((x, z, -y), "z is upward, found .*; turn it: pdal"):
+    for order, words in (
+        ((x, y, z), ""),
+        ((x, z, -y), "z is upward, found .*; turn it, with y = -z"),
+    ):
         path.write_bytes(ply(np.column_stack(order), "ascii"))
+        np.savetxt(tmp_path / "a.xyz", np.column_stack(order))
         if words:
             refuses(DataError, words, read_map, path)
+            refuses(DataError, words, read_map, tmp_path / "a.xyz", spacing=1.0)
         else:
             read_map(path)
 

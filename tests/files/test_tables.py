@@ -128,6 +128,8 @@ def test_rows_as_long_as_the_first_line(tmp_path, row):
         ("1.5;2,5;3\n", ":1: expected one decimal sign, found '1.5;2,5;3'; write all numbers"),
         ("0.5;0;0\n" * 300 + "0.5;1,000;0\n", ":301: expected one decimal sign, found '0.5;1,0"),
         ("t,x,yaw\n17e17,0,0\n17.1e17,0,0\n", r"up to 1.71e\+18 .*nanoseconds; name it 't \[ns\]'"),
+        ("t,x,yaw\n0,1,5,0,5,1\n1,5,2,5,2,5\n", ":2: .* probably decimals of numbers; write deci"),
+        ("t,x,yaw\n1:00:00 AM,0,0\n", ":2: .* found '1:00:00 AM,0,0'; write dates as in 2026"),
         (gzip.compress(b"t,x,yaw\n", mtime=0), "found a gzip file; unpack it: gunzip a.csv"),
         (b"#ROSBAG V2.0\n", "found a bag of ROS 1; convert it to MCAP: rosbags-convert --src a.cs"),
         (b"\x00\x01\x02", "expected way-points as text, found binary data; write its columns"),

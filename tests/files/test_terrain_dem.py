@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+
 import numpy as np
 import pytest
 import rasterio
@@ -9,6 +11,7 @@ import scipy
 from matplotlib.cbook import get_sample_data
 from numpy.testing import assert_allclose, assert_array_equal
 
+from helpers.cases import DATA
 from helpers.rasters import from_origin, geotiff, refuses
 from slipfree import DataError
 from slipfree.files.maps import raster
@@ -115,10 +118,8 @@ def test_the_error_told_of_local_metres_is_that_of_the_ellipsoid(tmp_path):
         ("nodata_value 0\n" + HEADER + ROWS, "begin the file with the lines ncols, nrows, xllcorn"),
         (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, "expected rows that run along x"),
         (HEADER + ROWS + "\n1 2 3 4 5", "expected 20 heights, ncols times nrows, found 25"),
-        (
-            HEADER + ROWS.replace("12", "1,2"),
-            "in line 8, found '1,2'; .*: tr , . < map.asc > points.asc",
-        ),
+        (HEADER + ROWS.replace("12", "1,2"), "8, found '1,2'; .*: tr , . < map.asc > points.asc"),
+        (HEADER + ROWS.replace("12", "1.0,2.0"), "8, found '1.0,2.0'; .*: tr ', ' ' ' < map.asc"),
         (HEADER + ROWS.replace("12", "1_2"), "expected numbers in line 8, found '1_2'"),
         (HEADER.replace("100", "1D2") + ROWS, "numbers in line 3, after a key of ncols .*'1D2'"),
         (HEADER + "# heights\n" + ROWS, "numbers in line 7, after a key of .*found '#'"),
@@ -289,21 +290,7 @@ def test_nodes_outside_the_hull_are_holes(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "expected a table, found an empty file"),
-        ("0 0 1\n1 0 x\n0 1 1\n", "xyz:2: expected three numbers x,y,z, found '1 0 x'; "),
-        ("0 0\n1 0 1\n1 0 2\n", "xyz:1: expected 3 values as in the lines below, found '0 0'"),
-        ("a b c\n0 0 1\n1 0 1\n", "no column 'y', no column 'z' among a, b, c; name"),
-        ("0 0 1\n0 0 1\n1 0 1\n", "at least 3 points with different x, y, found 2"),
-        ("1 0 0 1\n2 0 1 1\n3 1 0 1\n", "p.xyz:1: expected .* first column counts or names .* as"),
-        ("0,000,0,500,1,250\n", "found '000' between commas, .* separate the columns by semicolon"),
-        ('"0,0","0,5","1,2"\n"0,0","1,5","1,2"\n', "xyz:2: expected two or more numbers, found"),
-        ("lon lat alt\n0 0 1\n0 1e-5 1\n1e-5 0 1\n", "at spacing = 1 deg; .* such as 1e-05"),
-        ("ncols 3\nnrows 2\ncellsize 1\n1 2 3\n4 5 6\n", "an ESRI ASCII grid; rename it to end in"),
-        ("\n".join(f"{k} {k} 1" for k in range(9)), "found that they lie on a line"),
-        ("0 0 1\n1 0 1\n0 1 1\n", "at least 4 by 4 nodes, found 2 by 2 at spacing = 1 m"),
-    ],
+    ("text", "words"), tomllib.loads((DATA / "refused_points.toml").read_text())["points"]
 )
 def test_files_refused(tmp_path, text, words):
     path = tmp_path / "p.xyz"

@@ -13,6 +13,8 @@ from math import pi
 from string import Formatter
 from typing import Any, NamedTuple
 
+from slipfree.core.errors import read_table
+
 # factors from SI units to the units that people read; those of slip per path length are mm/m
 SCALES = {
     **{"deg": 180 / pi, "%": 100.0, "ms": 1e3},
@@ -84,6 +86,11 @@ def rows(text: str) -> tuple[Row, ...]:
         is_check, is_main = line.lstrip("*").startswith("!"), line.startswith("*")
         facts.append(Row(name, parts, is_check, is_main, table, lead))
     return tuple(facts)
+
+
+def named_rows(name: str) -> tuple[Row, ...]:
+    """Return the rows of a summary by its name in ``rows.toml``."""
+    return rows(read_table(__file__, "rows.toml")[name])
 
 
 def printed_unit(unit: str) -> str:

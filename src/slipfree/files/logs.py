@@ -45,6 +45,8 @@ CLEAR, CLEARER = 0.8, 0.3  # least concentration of courses about headings, and 
 OPPOSITE, COUNTS = 0.5, 0.95  # least correlations of turns, and of counts with the path [1]
 OFFSET = 25.0  # least constant difference of course and heading that is refused [deg]
 FULL_CIRCLE = 360.0  # largest longitude [deg]
+TURNING, SMALL_SHARE = 0.1, 0.1  # turn of chords of a drive with turns [rad], and misfit [1]
+CLOSE = 0.03  # largest relative error of a ratio of units of the sides
 SHIFTS, MAX_DELAY = np.arange(-80, 81) / 4, 1.0  # of clocks, and largest one that is a delay [s]
 DEGREE = 1e-4  # motion over travel of wheels below which positions are degrees [1]
 
@@ -311,6 +313,11 @@ def check_motion(
         Whether headings may have a constant difference from the course, as of a sensor.
     """
     t, place = log.t, log.values["x"] + 1j * log.values["y"]
+    if t.size > LEAST_CHORDS and (place == place[0]).all():
+        raise DataError(
+            f"{log.path}: expected positions that change, found x = {place[0].real:g} m and y = "
+            f"{place[0].imag:g} m in all rows; name other columns, or omit the log"
+        )
     part = np.append(0, np.cumsum(~is_continuous(t, place, log.values.get("window", 0 * t))))
     fresh = np.append(True, np.diff(place) != 0)  # poses may be held until the next one is measured
     log = log._replace(values={name: column[fresh] for name, column in log.values.items()})
@@ -379,6 +386,8 @@ def check_motion(
     elif is_other and by_wheels > OPPOSITE:
         expected, found = "that turn with the course", "that it turns against headings and wheels"
         remedy = "exchange the columns of x, to the east, and y, to the north"
+        if abs(abs(mirrored) - 90) > 45:
+            remedy = f"change the sign of {'y' if abs(mirrored) < 45 else 'x'}"
     elif is_other:
         expected, found = "that turn with the course", "the opposite: clockwise from north?"
         remedy = f"write {round(mirrored) % (360 // sign)} deg minus the heading"
@@ -449,6 +458,23 @@ def _check_sides(
         raise DataError(
             f"{log.path}: expected inputs of both sides that are positive ahead, found distances "
             f"and turns that agree with the opposite sign of the {side} side; change its sign"
+        )
+    is_one = not left.any() or not right.any() or np.array_equal(left, right)
+    if is_one and plain[1] > CLEARER and energy[1] > TURNING**2 * bent.size:
+        raise DataError(
+            f"{log.path}: expected inputs of both sides, found turns, but inputs that are equal on "
+            "both sides or zero on one; name the column of each side"
+        )
+    factors = np.linalg.lstsq(np.transpose([left, right]), ahead[at])[0]
+    scaled = misfit(factors[0] * left, factors[1] * right)
+    if plain.max() > CLEARER > SMALL_SHARE > scaled.max() and factors.min() > 0:
+        side, other = np.array(["left", "right"])[np.argsort(factors)]
+        ratio = float(factors.max() / factors.min())
+        units = [w for w, each in (OF_RATES | OF_SPEEDS).items() if abs(each * ratio - 1) < CLOSE]
+        raise DataError(
+            f"{log.path}: expected inputs of both sides in one unit, found that those on the "
+            f"{side} are {ratio:.3g} times those on the {other} for the same motion, probably "
+            f"{', or '.join(units) or 'in another unit'}; convert them to one unit"
         )
     shares = {  # distances may have the clock of the inputs, turns that of the headings
         late: np.minimum(plain, misfit(*(each[at] for each in changes(late - middle))))

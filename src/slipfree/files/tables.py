@@ -10,7 +10,7 @@ import io
 import math
 import operator as op
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
@@ -33,9 +33,11 @@ SEPARATORS = (";", "|", "\t", ",", None)  # None: blanks
 # no colour within a line, as of points, and no error of a spreadsheet, as in #N/A
 COMMENT = re.compile(r"^\s*#|#(?![0-9a-fA-F]{6}\b|N/A|NV\b|[A-Z/0]+[!?])")
 COMMENTS = ("#", "%", "//")
+UNIT_TABLE = read_table(__file__, "units.toml")
+REMEDIES: dict[str, str] = UNIT_TABLE.pop("remedies")
 UNIT_FACTORS = {  # factors to SI units, by the SI unit, or "heights", and the name of the unit
     unit: {name: float(factor) for names, factor in rows.items() for name in names.split(", ")}
-    for unit, rows in read_table(__file__, "units.toml").items()
+    for unit, rows in UNIT_TABLE.items()
 }
 UNITS = {  # SI unit of a column, and factor to it
     name: (unit.replace("heights", "m"), factor)
@@ -66,19 +68,13 @@ MISSING = ("", "nan", "na", "n/a", "#n/a", "#nv", "null", "none", "-")
 PARTS = {  # columns from which a quantity follows: pattern of stem and part, and required parts
     "t": (re.compile(r"(.*?)((?:nano|n)?sec(?:s|onds)?)$", re.IGNORECASE), "sn"),
     "heading": (
-        re.compile(r"(.*(?:q|quat(?:ernion)?|orientation|rotation)[._[]?)([xyzw0-3])]?$", re.I),
+        re.compile(r"(.*(?:q|quat(?:ernion)?|orientation|rotation)[._[]?)([xyzw0-4])]?$", re.I),
         "zw",
     ),
 }
 UNIT_LENGTH = 0.1  # largest error of the square of a quaternion's length
 TILT, TILTED = 0.15, 0.1  # of 45 deg, and share of such rows that is of another order [1]
 DATES = "write dates as in 2026-03-01T12:00:00.5, or times in s"
-REMEDIES = {  # by the units that were expected and found
-    ("m", "rad"): "project the positions to metres",
-    ("rad/s", "m/s"): "divide the speeds by the radius of the wheels",
-    ("m/s", "rad/s"): "multiply the rates by the radius of the wheels, or, in a fit, "
-    "--set data.unit=rad/s",
-}
 # units of times that count from a fixed date
 LARGE_TIMES = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds"}
 
@@ -229,7 +225,7 @@ def read_columns(
         title = layout.names[index] if is_own else name
         symbol, factor = (unit and known_unit(unit)) or (si_units.get(name, ""), 1.0)
         if symbol != si_units.get(name, symbol):
-            remedy = REMEDIES.get((si_units[name], symbol), "correct the column or its unit")
+            remedy = REMEDIES.get(f"{symbol} to {si_units[name]}", REMEDIES["units"])
             raise DataError(
                 f"{path}: expected values in {si_units[name]} in the column {title!r}, found "
                 f"{unit}; {remedy}"
@@ -278,9 +274,19 @@ def split_unit(name: str) -> tuple[str, str]:
     return name, ""
 
 
-def part_of(match: re.Match[str]) -> str:
-    """Return the part of a quantity of `PARTS`: s, n; w, x, y, z, or 0 to 3 in this order."""
-    return match[2][0].lower().translate(str.maketrans("0123", "wxyz"))
+def parts_of(key: str, names: Sequence[str]) -> dict[str, dict[str, int]]:
+    """Return the numbers of the columns of the parts of a quantity, by what precedes the part.
+
+    Parts are those of `PARTS`: s, n; w, x, y, z, or numbers from 0 or from 1 in this order.
+    """
+    stems = defaultdict[str, dict[str, int]](dict)
+    for k, name in enumerate(names):
+        if match := PARTS[key][0].match(name):
+            stems[match[1]][match[2][0].lower()] = k
+    for stem, parts in stems.items():
+        order = str.maketrans("1234" if "4" in parts else "0123", "wxyz")
+        stems[stem] = {part.translate(order): k for part, k in parts.items()}
+    return stems
 
 
 def _opened(path: Path, expected: str) -> _TextTable:
@@ -383,6 +389,8 @@ def _layout_with(
             rows.append((number, cells))
         elif not text:
             comments.append(line.strip(" #%/;\r\n"))
+        elif _is_row(cells, separator) and separator == "," and heads:
+            raise DataError(f"{path}:{number}: {REMEDIES['commas'].format(text[:SHOWN])}")
         elif _is_row(cells, separator):
             raise DataError(
                 f"{path}:{number}: expected {width} values as in the lines below, found {text!r}; "
@@ -391,14 +399,11 @@ def _layout_with(
         elif len(cells) > 1 or not _is_number(text, separator):  # a number alone counts the rows
             heads.append((number, text, cells))
     is_named = any(len(cells) == width for _, _, cells in heads)
-    for number, cells in rows:
-        odd = next((cell for cell in cells if re.fullmatch(r"0\d+", cell)), "")
-        if odd and separator == "," and not is_named:
-            raise DataError(
-                f"{path}:{number}: expected numbers with decimal points, found {odd!r} between "
-                "commas, probably decimals of a number with a comma; write decimal points, or "
-                "separate the columns by semicolons, and give names in the first line"
-            )
+    few = min((len(cells) for _, _, cells in heads if len(cells) > 1), default=width)
+    for number, cells in rows if separator == "," and not is_named else ():
+        text = ",".join(cells)[:SHOWN]
+        if width > 2 * few - 2 or any(re.fullmatch(r"0\d+", cell) for cell in cells):
+            raise DataError(f"{path}:{number}: {REMEDIES['commas'].format(text)}")
     table = [cells for _, cells in rows if len(cells) == width]
     while width > 2 and not any(cells[width - 1] for cells in table):  # separators at line ends
         width -= 1
@@ -448,16 +453,14 @@ def _choose(
         )
         indices = next((rank for rank in ranks if rank), [])
         # the columns from which a quantity follows, by its name and part, if they are clear
-        pattern, required = PARTS.get(key, (None, ""))
-        stems = dict[str, dict[str, tuple[int, str]]]()
-        for k, title in enumerate(names if pattern and len(indices) != 1 else ()):
-            match = pattern.match(title) if pattern else None
-            if match and match[1].startswith(name * (name != key)):
-                stems.setdefault(match[1], {})[f"{key}:{part_of(match)}"] = k, ""
-        needed = {f"{key}:{part}" for part in required}
-        complete = [parts for parts in stems.values() if needed <= {*parts}]
+        stems = parts_of(key, names) if key in PARTS and len(indices) != 1 else {}
+        complete = [
+            parts
+            for stem, parts in stems.items()
+            if stem.startswith(name * (name != key)) and {*PARTS[key][1]} <= {*parts}
+        ]
         if len(complete) == 1:
-            chosen |= complete[0]
+            chosen |= {f"{key}:{part}": (k, "") for part, k in complete[0].items()}
             continue
         if len(indices) != 1:
             fault = f"{len(indices)} columns {name!r}" if indices else f"no column {name!r}"
@@ -522,7 +525,7 @@ def _read_numbers(
             values = [math.inf]
         if not all(map(op.or_, map(math.isfinite, values), is_missing)):
             remedy = "correct or remove the line"
-            if re.match(r"\d+[-/.]\d+[-/.]\d{2}", text):
+            if re.match(r"\d+[-/.:]\d+[-/.:]\d{2}", text):
                 remedy = DATES
             elif any(re.search(r"\d[.,]\d{3}[.,]\d", cells[k]) for k in indices):
                 remedy = "write numbers without separators of thousands"

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation, correlate, maximum_filter, minimum_fi
 
 from slipfree.atlas.atlas import Atlas, Band
 from slipfree.core.errors import ModelError
-from slipfree.core.facts import Fact, Lines, lines, rows
+from slipfree.core.facts import Fact, Lines, lines, named_rows
 from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import heading_column
 from slipfree.problem.build_ground import GroundMap
@@ -31,21 +31,7 @@ PLACES, HEADINGS = 12, 4  # places along an axis, and headings, at which the veh
 LARGEST_RADIUS = 1e3  # of a wheel that is printed [m]
 TOUCHING = 0.99  # share of the nodes at which a wheel touches once
 
-SURVEY_ROWS = rows(
-    """\
-extent: x {west:.10g} to {east:.10g}, y {south:.10g} to {north:.10g}
-slope: median {slope_median.value:.3g} deg, 95 % below {slope_high.value:.3g} deg, largest \
-{slope_largest.value:.3g} deg; {share_above_20:.3g>%} above 20 deg, {share_above_30:.3g>%} above \
-30 deg
-hollows: wheels of {wheels} radius touch once at {touching} of the nodes; terrain.rolled \
-fills narrower hollows
-holes: {hole_share:.3g>%} of the nodes are in or beside holes, where a motion ends; terrain.fill = \
-'linear' fills those inside the map
-doubtful heights: {spikes.value} nodes are spikes or pits, the largest of {spike_size:.3g} at x = \
-{spike_x.value:.10g}, y = {spike_y.value:.10g}; correct the map, or reduce them with terrain.smooth
-rounded heights: to {rounded_to:g}, which makes steps in the ground; terrain.smooth of two to \
-three cells removes them"""
-)
+SURVEY_ROWS = named_rows("survey")
 
 
 def survey(ground: GroundMap) -> dict[str, Fact]:

@@ -33,7 +33,7 @@ from pydantic import AfterValidator, ConfigDict, Strict, TypeAdapter, Validation
 from tomlkit.exceptions import TOMLKitError
 
 from slipfree.core.errors import DataError, SlipfreeError
-from slipfree.core.facts import Fact, lines, rows
+from slipfree.core.facts import Fact, lines, named_rows
 from slipfree.core.records import Array
 from slipfree.core.trajectory import outcome_words
 from slipfree.files.netcdf import DEGREES
@@ -59,15 +59,7 @@ FINITE = ConfigDict(allow_inf_nan=False)
 Number = Annotated[float, Strict()]  # an integer is one, true is none
 Point = tuple[Number, Number]
 PLACES = ("start", "goal", "keep_out")  # keys that the page changes
-PLANNED = rows("""outcome: {outcome}
-duration: {duration:.4g}
-path length: {path_length:.4g}
-cost {name}: <plan_cost_*> {fact:.4g}
-largest slip: {slip_largest:.3g>mm/s}
-largest utilisation: {utilisation_largest:.3g}
-tip-over margin: {tip_over_margin_least:.1f>deg}
-iterations: {plan_iterations:.0f}
-time of the search: {seconds:.1f}""")  # of a plan on the page
+PLANNED = named_rows("edited_plan")  # of a plan on the page
 
 
 class EditedRegion(NamedTuple):

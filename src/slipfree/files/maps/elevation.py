@@ -62,7 +62,8 @@ CHUNK = 200_000  # number of points of a LAS file read at once
 MAX_RECORD = 4096  # largest size of a point [bytes]
 GROUND, NOISE = 2, (7, 18)  # classes of points in LAS files
 POINTS_PER_CELL = 4.0  # default mean number; with random points, one cell in 55 is empty
-ROUGH = 0.25  # largest rounding of coordinates [distance of points]
+ROUGH = 0.25  # largest rounding of coordinates [distance of points, or cells]
+MANY_SHARE, STEEP = 0.25, 0.1  # of places with several heights, and their range [distance]
 MANY, THICKER = 100_000, 3.0  # points that show the upward axis, and least ratio of shares [1]
 COARSE = 64.0  # mean number of points in the cells that measure the covered area
 OFF_NODE = 0.02  # largest distance of points of a regular grid from its nodes, by rounding [step]
@@ -95,6 +96,7 @@ class Points(NamedTuple):
     chunks: Iterable[tuple[Array, Array]]  # places, shape (n, 3), and classes, shape (n,)
     crs: Any = None  # horizontal reference system, rasterio.crs.CRS
     unit: str = ""  # of the heights; empty if unknown
+    rounding: float = 0.0  # largest step of coordinates; 0 if unknown [unit of the file]
 
 
 def ply_points(stream: BinaryIO) -> Points:
@@ -207,6 +209,14 @@ def read_points(path: Path, ask: raster.Reading) -> Heights:
     nodes = None if ask.spacing else regular_nodes(places)
     # median distance from the nearest neighbours
     distance = float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
+    if np.mean(top - bottom > STEEP * distance) > MANY_SHARE and not geographic:
+        refuse(
+            "points at different x, y",
+            f"{repeated} of {len(table)} at places of others, with heights up to {apart:.3g} m "
+            "apart",
+            "write x and y with more digits if they are rounded, or keep one surface of several",
+        )
+    _check_upward(table[:: len(table) // MANY + 1])
     if nodes is None and ask.spacing is None:
         refuse(
             f"spacing, the distance between grid nodes in {unit}",
@@ -224,6 +234,8 @@ def read_points(path: Path, ask: raster.Reading) -> Heights:
         remedy = f"set a smaller spacing, such as {distance:.2g}"
         if not x.step > distance:
             remedy = "add points farther along x and y"
+        elif np.abs(places).max() <= 360 and not geographic:  # largest longitude
+            remedy += "; if x and y are degrees, name the columns longitude and latitude"
         refuse("points that span at least 4 by 4 nodes", size, remedy)
     i, j = parts(x, y, ask.window)
     if nodes is None:
@@ -330,6 +342,13 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
     covered = np.unique(a * int(cells[1]) + b).size / cells.prod()
     density = float(len(points) / (covered * extent.prod()))
     cell = spacing or float(f"{math.sqrt(POINTS_PER_CELL / density):.2g}")
+    if file.rounding > ROUGH * cell:
+        refuse(
+            f"coordinates rounded to less than a quarter of a cell, {cell:g} m",
+            f"the scale {file.rounding:g} m in the header",
+            f"set spacing = {file.rounding / ROUGH:g} or more, or write the original points with "
+            "--writers.las.scale_x=0.001 --writers.las.scale_y=0.001 --writers.las.scale_z=0.001",
+        )
     first, last = (np.rint(end / cell).astype(np.int64).tolist() for end in (low, high))
     x, y = (UniformAxis(a * cell, cell, b - a + 1) for a, b in zip(first, last, strict=True))
     i, j = parts(x, y, window)
@@ -382,7 +401,7 @@ def _check_upward(points: Array) -> None:
         refuse(
             "points whose z is upward",
             "a surface over x and z, whose y is probably upward",
-            "turn it: pdal translate in.ply out.ply transformation "
+            "turn it, with y = -z and z = y: pdal translate in.ply out.ply transformation "
             "--filters.transformation.matrix='1 0 0 0  0 0 -1 0  0 1 0 0  0 0 0 1'",
         )
 
@@ -440,7 +459,8 @@ def _las_points(stream: BinaryIO) -> Points:
             kind = np.asarray(chunk.classification)
             yield places, np.where(np.asarray(chunk.withheld, bool), NOISE[0], kind)
 
-    return Points(f"LAS {file.header.version}", chunks(), *_system(file.header))
+    rounding = float(max(file.header.scales))
+    return Points(f"LAS {file.header.version}", chunks(), *_system(file.header), rounding)
 
 
 def _check_header(stream: BinaryIO) -> None:

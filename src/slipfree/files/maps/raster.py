@@ -382,7 +382,8 @@ def _check_numbers(path: Path, driver: str, shape: tuple[int, int], used: range)
             numbers = words[is_key:] if is_used else []
             wrong = next((word for word in numbers if not NUMBER.fullmatch(word)), None)
             if wrong is not None:
-                change = "-d ," if b"." in wrong else ", ."  # separators of thousands, or decimals
+                # separators of columns, of thousands, or decimals
+                change = "', ' ' '" if wrong.count(b".") > 1 else "-d ," if b"." in wrong else ", ."
                 command = f": tr {change} < {shlex.quote(path.name)} > points.asc" * (b"," in wrong)
                 others = "" if found else f", after a key of {KEYS[driver]} or alone"
                 refuse(

@@ -22,6 +22,8 @@ WEIGHTS: dict[str | float, float] = TABLE.pop("weights")
 REMEDIES: dict[str, str] = TABLE.pop("remedies")
 # of elements; others are errors where one of the first four is missing
 ATTRIBUTES: dict[str, list[str]] = TABLE.pop("attributes")
+# factors that correct the scale of a mesh, and their reasons
+UNITS: dict[float, str] = {float(unit): words for unit, words in TABLE.pop("scales").items()}
 USUAL = WEIGHTS["usual"]
 SIDES = {side: re.compile(pattern) for side, pattern in TABLE.pop("sides").items()}
 AXLES = "along the axles"  # contradicts the direction in which wheels roll

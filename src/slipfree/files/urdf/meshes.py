@@ -22,6 +22,7 @@ import scipy  # scipy.optimize and scipy.spatial are imported when they are used
 from slipfree.core.errors import DataError, missing_package
 from slipfree.core.records import Array
 from slipfree.files.foreign_formats import check_contents
+from slipfree.files.urdf.evidence import UNITS
 from slipfree.files.urdf.tree import Geometry, MeshFile, Shape, Tree, UrdfJoint
 from slipfree.files.urdf.xacro import package_folders
 from slipfree.files.vehicle_toml import MAX_LENGTH, placed, rotation_of, vector_of
@@ -32,13 +33,6 @@ from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".glb")
 PACKAGES = ("package", "model")  # schemes of names in a package
-UNITS = {  # factors that correct the scale of a mesh, and their reasons
-    1e-3: "is it in millimetres?",
-    1e-2: "is it in centimetres?",
-    0.0254: "is it in inches?",
-    1e2: "is its scale that of centimetres?",
-    1e3: "is its scale that of millimetres?",
-}
 SAME_PLANE = 0.05  # smaller offsets along the axle, in radii, are of wheels in one plane
 MAX_COORDINATE = 1e6  # of a mesh, also in a wrong unit [m]
 OVERLAP = 0.9  # wheels in one plane overlap if closer than this, in sums of their radii

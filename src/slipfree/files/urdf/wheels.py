@@ -23,6 +23,7 @@ from slipfree.files.urdf.evidence import (
     OMNI,
     STEERING,
     TRAILER,
+    UNITS,
     USUAL,
     WHEEL,
     Evidence,
@@ -32,7 +33,6 @@ from slipfree.files.urdf.evidence import (
 )
 from slipfree.files.urdf.links import wheel_name
 from slipfree.files.urdf.meshes import (
-    UNITS,
     MeshFiles,
     angles_to,
     mesh_shape,

@@ -19,7 +19,7 @@ import numpy as np
 from typing_extensions import TypeVar
 
 from slipfree.core.errors import DataError
-from slipfree.core.facts import Fact, Facts, Lines, Row, lines, rows
+from slipfree.core.facts import Fact, Facts, Lines, Row, lines, named_rows, rows
 from slipfree.core.quantities import QUANTITIES, extremes, joint_angles
 from slipfree.core.records import Array, HtmlRepr, leaves
 from slipfree.core.trajectory import (
@@ -264,14 +264,7 @@ LAST_LINES = """\
 *faster than the URDF allows: <faster_wheels> {wheel} {rate:.3g} of {limit:.3g} rad/s
 *!not converged: <not_converged> {name} at {fact} of {samples} samples
 *!diagnostics failed: <failed_diagnostics> {fact}"""
-START_ROWS = rows(
-    """\
-stable poses: <stable_poses> pitch {pitch:.3g>deg}, roll {roll:.3g>deg} with {wheel} least loaded, \
-{share:.2g} of an equal share of the weight
-!contact certificate: {contact_certificate}
-"""
-    + QUANTITIES["clearance_body"].line
-)
+START_ROWS = named_rows("start") + rows(QUANTITIES["clearance_body"].line)
 Diagnostic = Callable[[Trajectory], Trajectory]
 
 

@@ -31,7 +31,7 @@ from slipfree.files.logs import (
     read_log,
 )
 from slipfree.files.netcdf import FIT, ORIGIN, open_netcdf
-from slipfree.files.tables import ALIASES, PARTS, known_unit, part_of, read_names, split_unit
+from slipfree.files.tables import ALIASES, PARTS, known_unit, parts_of, read_names, split_unit
 from slipfree.files.toml import Angle, Pair, Positive, Quantity, Record, given_values, name_errors
 from slipfree.fit.drive_fit import (
     BLOCKS,
@@ -504,8 +504,8 @@ class _Reader(NamedTuple):
         vx, vy = columns.pop("velocity") or (None, None)
         if not columns["heading"]:
             names = read_names(path, "a log") if _is_text(path) else ["heading"]
-            matches = filter(None, map(PARTS["heading"][0].match, names))
-            has_heading = {*map(part_of, matches)} >= {*PARTS["heading"][1]}
+            parts = parts_of("heading", names).values()
+            has_heading = any({*PARTS["heading"][1]} <= {*each} for each in parts)
             has_heading |= any(each.lower() in ALIASES[4] for each in names)
             columns["heading"] = "heading" if has_heading else None
         columns |= {"vx": vx, "vy": vy}

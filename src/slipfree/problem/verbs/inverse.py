@@ -13,7 +13,7 @@ import numpy as np
 
 from slipfree.control.path_following import check_way_points, path_inputs, track_path
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
-from slipfree.core.facts import Fact, printed_unit, rows
+from slipfree.core.facts import Fact, named_rows, printed_unit
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.files import toml
@@ -257,24 +257,8 @@ def _faults(
 ROUND_TRIP, REPLAY = "round_trip_", "replay_"  # beginnings of the names of differences
 METHOD, COLLOCATION = "solved_by", "collocation"  # attribute of a result, and one of its values
 STEERED = 0.02  # largest error of a steering coordinate at its target [rad, m]
-ROWS = rows(
-    """\
-rate of wheel {wheel}: <wheel_rates> {first:.6g} at the start, {last:.6g} rad/s at the end
-steering {name}: <steering> {least:.6g} to {greatest:.6g} {unit}{words}
-!margin: {inverse_margin_least:.4g} at least ({inverse_margin_least.words}): {margin_meaning}
-*errors: <command_errors> {name} {largest:.1e} {unit} at most (t = {t:.4g} s; {words})
-steering slip: {steering_slip_largest:.2e} at most (steering lever times steering rate)
-*warning: {steering_warning}"""
-)
-CHECK_ROWS = rows(
-    """\
-!round trip: differences of the platform rates from those of the direct model at the same wheel \
-and joint rates: <round_trip_*> {name} {fact:.1e}
-!collocation: {elements:.0f} elements of degree {degree:.0f}, {cpu_seconds:.3g} s CPU, steering \
-error {sought_error:.1e} rad
-!replay by the direct model: differs by at most <replay_*> {name} {fact:.1e}
-*!replay stopped early: {stopped_replay}"""
-)
+ROWS = named_rows("inverse")
+CHECK_ROWS = named_rows("inverse_checks")
 COLUMNS = ("t", "x", "y", "heading")
 MIN_SAMPLES = 4  # smallest number of samples between jumps of the given rates, for a replay
 GUESS_SPEED = 0.1  # speed of the initial guess if the velocity is not given [m/s]

@@ -22,8 +22,8 @@ from slipfree.control.path_following import follow
 from slipfree.control.step_climbing import climbing
 from slipfree.core import trajectory
 from slipfree.core.dae import Dae, PiecewiseLinear
-from slipfree.core.errors import ModelError, SlipfreeError, read_table
-from slipfree.core.facts import Fact, Facts, rows, starting_with
+from slipfree.core.errors import ModelError, SlipfreeError
+from slipfree.core.facts import Fact, Facts, named_rows, starting_with
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Outcome, Trajectory, ipopt_words
 from slipfree.files.netcdf import NOTHING
@@ -73,7 +73,7 @@ DIFFERENCE, VIOLATION, PLAN_COST = "plan_difference_", "plan_violation_", "plan_
 ROUNDING = 1e-6  # smaller violations count as rounding, in the unit of the limit
 SLIDING = 0.95  # wheels with a larger utilisation count as sliding
 UNUSABLE = Outcome.INACCURATE, Outcome.LIMIT  # outcomes of solved plans that cannot be driven
-ROWS = rows(read_table(__file__, "plan_rows.toml")["rows"])
+ROWS = named_rows("plan")
 
 
 def facts_of(plan: Plan | LongPlan, setup: plan_setup.Planning) -> dict[str, Fact]:
