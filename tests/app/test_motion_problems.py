@@ -32,7 +32,7 @@ from slipfree.problem.load import load_problem, verb_of
 from slipfree.problem.result import build, motion_facts, open_result, run_problem
 from slipfree.problem.verbs import plan_search as module
 from slipfree.problem.verbs.base import Result
-from slipfree.problem.verbs.plan import PlanVerb, figure_options, with_offer
+from slipfree.problem.verbs.plan import PlanVerb, _simulated, figure_options, with_offer
 from slipfree.problem.verbs.plan_search import start_motion
 from slipfree.problem.verbs.plan_setup import regions
 from slipfree.show import plots
@@ -516,6 +516,13 @@ def bounded() -> Result:
     between = "way_points=[{ at = 0.5, x = 0.35, y = [1.0, 1.6] }]"
     bounds = "bounds={ left_rate = [-1.0, 1.0] }"
     return run_problem(load_problem(HILLS, [*QUICK, between, bounds]))
+
+
+@pytest.mark.slow
+def test_after_the_time_limit_a_plan_is_not_simulated_with_other_models(bounded):
+    late = replace(bounded.setup, deadline=0.0)
+    (told,) = _simulated("stiff", late, None, None, None).values()
+    assert told.value == "not simulated: the time limit has passed"
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from slipfree.catalog import articulated, three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
 from slipfree.plan.constraints import conflicts, with_first_limits
-from slipfree.plan.explanation import explanation, relax, violation_words, violations
+from slipfree.plan.explanation import explanation, more_time, relax, violation_words, violations
 from slipfree.plan.ipopt import TIME_STATUS, NlpSolution, solve_program
 from slipfree.plan.optimality import check_optimality, limit_prices, price_rows, prices_words
 from slipfree.plan.plan import plan
@@ -171,6 +171,8 @@ def test_what_is_solved_violates_nothing_and_gives_nothing_up():
     assert re.match(f"{words}.*; plan.starts = 4 tries other initial", told)
     late = explanation(program, stuck._replace(status=TIME_STATUS), first).words
     assert late.endswith("was found; raise plan.seconds")
+    many = replace(program, mesh=CollocationMesh(np.linspace(0, 1, 82), 1))
+    assert more_time(many).endswith("seconds, or plan the way in (shorter) parts: plan.window")
 
 
 def test_intervals_on_which_a_plan_exceeds_a_limit_between_its_points_are_known():

@@ -280,10 +280,8 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
     asked = list(_all_bounds(task))
     along = [bounds for bounds in asked if not bounds.parts.size]
     begin = np.full(len(task.dae.scale), np.nan) if start is None else task.dae.rows("z", start, -1)
-    sentences = [
-        *_input_conflicts(task),
-        *_value_conflicts(task, along, "start", np.append(task.start, begin)),
-    ]
+    sentences = [*_input_conflicts(task)]
+    sentences += _value_conflicts(task, along, "start", np.append(task.start, begin))
     for condition in task.conditions:
         formulas = [bounds for bounds in along if variable_of(task, bounds.expression) is None]
         # States and unknowns fixed by a condition, nan if not fixed, shape (n_x + n_z,).

@@ -35,6 +35,7 @@ from slipfree.plan.ipopt import (
 from slipfree.plan.transcription import Program, completed
 
 MAX_RELAXATION_ITERATIONS = 200  # of each of the two searches for a relaxation
+MANY_NODES = 81  # of a mesh; programs with more are planned sooner in parts of the way
 MIN_SHARE = 0.05  # smallest reported effect of a bound on the relaxation, per unit of the bound
 SIDE_WORDS = {1.0: "at least", -1.0: "at most"}  # lower bounds have sign 1, upper ones -1
 MAX_NAMED_VIOLATIONS = 5  # violations that an explanation names
@@ -252,6 +253,12 @@ def violation_words(violation: Violation) -> str:
     return f"{subject(label, role)} is {size} {side} {number(label, violation.bound)} {at}"
 
 
+def more_time(program: Program) -> str:
+    """Return how a search that its time limit ended may succeed."""
+    is_long = program.mesh.ends.size > MANY_NODES
+    return "raise plan.seconds" + ", or plan the way in (shorter) parts: plan.window" * is_long
+
+
 def explanation(
     program: Program, solution: NlpSolution, first: Array, relaxation: Relaxation | None = None
 ) -> Explanation:
@@ -272,7 +279,7 @@ def explanation(
         return Explanation(Outcome.INTERRUPTED, "\n".join(lines))
     relaxation = relax(program, first) if relaxation is None else relaxation
     is_late = TIME_STATUS in (solution.status, relaxation.status)
-    advice = "raise plan.seconds" if is_late else "plan.starts = 4 tries other initial guesses"
+    advice = more_time(program) if is_late else "plan.starts = 4 tries other initial guesses"
     if not relaxation.success:
         lines.append(
             "no motion was found, although all bounds except those of the start and the duration "

@@ -257,9 +257,7 @@ def guess_motion(
 
 def settled_start(dae: Dae, start: Trajectory, options: SolverOptions) -> Trajectory:
     """Return the start of a plan, settled for another model ``dae`` of the vehicle."""
-    values: dict[str, Any] = {
-        label.full: float(start.of(label)[-1]) for label in leaves(dae.labels.x)
-    }
+    values: dict[str, Any] = {each.full: float(start.of(each)[-1]) for each in leaves(dae.labels.x)}
     return settle(dae, options=options, **values)
 
 

@@ -157,11 +157,9 @@ def _check_task(task: PlanTask) -> None:
     A window moves: its program is the same at all times.
     """
     dae = task.dae
-    asked = (
-        limit.expression for limit in (*task.limits, *dae.all_limits, *task.conditions[-1].limits)
-    )
-    costs = (cost.expression for cost in task.costs)
-    everything = ca.vertcat(dae.ode, *dae.alg, *asked, *costs)
+    limits = *task.limits, *dae.all_limits, *task.conditions[-1].limits
+    terms = [*(each.expression for each in limits), *(each.expression for each in task.costs)]
+    everything = ca.vertcat(dae.ode, *dae.alg, *terms)
     if ca.depends_on(everything, dae.t):
         raise ModelError(
             "horizon: expected a model, costs, limits and a goal that do not depend on time, found "

@@ -29,7 +29,7 @@ from slipfree.core.trajectory import (
     path_length,
 )
 from slipfree.plan.constraints import with_first_limits
-from slipfree.plan.explanation import explanation
+from slipfree.plan.explanation import explanation, more_time
 from slipfree.plan.guess import initial_guess
 from slipfree.plan.ipopt import NOT_LEAST, STOPPED_STATUS, TIME_STATUS, NlpSolution
 from slipfree.plan.optimality import Optimality, Price, check_optimality, limit_prices
@@ -394,7 +394,7 @@ def solve_task(
             words = (
                 f"the time limit ended the search {best.stages[-1].words!r} before its first "
                 f"iteration: the set-up and {iterations} iterations of earlier searches left the "
-                f"solver {solution.seconds['total']:.2g} s; raise plan.seconds"
+                f"solver {solution.seconds['total']:.2g} s; {more_time(program)}"
             )
         run = replace(run, stop=Stop(PLAN, float(run.t[-1]), words, outcome))
     statistics = {

@@ -685,6 +685,8 @@ def _simulated(
     ``end_distance``, the distance from the end of the plan's own simulation, and those of ``more``;
     or ``failure``.
     """
+    if time.monotonic() > setup.deadline:
+        return {f"{prefix}_failure": Fact("not simulated: the time limit has passed")}
     try:
         model, start = build()
         step = setup.spec.time.step
