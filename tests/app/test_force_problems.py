@@ -49,7 +49,7 @@ def test_run_tells_what_the_motion_takes():
     assert told["gravity"] == "9.81 m/s^2 (earth)"
     assert told["ground friction"] == "0.6"
     assert told["slip"].endswith("; a quasi-static prediction by the wheel-ground law 'coulomb'")
-    shown = r"utilisation 0\..* of a coefficient of 0\.6 by the law 'coulomb'; 0\."
+    shown = r"utilisation 0\..* a share of the coefficient 0\.6 by the law 'coulomb'; 0\."
     assert re.match(shown, told["friction"])
     written = netcdf.read(Path("p.nc"))
     k, i = np.unravel_index(written["utilisation"].argmax(), written["utilisation"].shape)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.cases import DATA
 from helpers.commands import invoke, printed, sets
 from slipfree import Bicubic, Grid, catalog, direct_kinematics, settle
 
@@ -87,6 +88,12 @@ def test_the_ground_of_a_problem_and_errors():
     out = printed("ground", "p.toml", "--no-draw", *sets("terrain.window=[-5,5,-5,5]"))
     assert "10 x 10 m, 21 x 21 nodes" in out
     assert "rocky7 stands" in out
+    assert "rolled fills narrower hollows" in out
+    assert "cells of the map" not in out
+    coarse = printed("ground", "p.toml", "--no-draw", *sets("terrain.scale=10"))
+    assert "larger than the vehicle (" in coarse
+    filled = printed("ground", "p.toml", "--no-draw", *sets("terrain.rolled=0.5"))
+    assert "has filled those that a wheel of 0.5 m" in filled
     holes = np.where(np.indices((AXIS.size, AXIS.size)).max(axis=0) % 2, np.nan, 0.0)
     np.savez("holes.npz", x=AXIS, y=AXIS, z=holes)
     assert "found holes everywhere" in printed("ground", "holes.npz", code=2)
@@ -109,6 +116,11 @@ def test_a_new_problem_has_map_vehicle_and_start():
     assert {*plan} >= {"start", "goal", "costs"}
     assert not {*plan} & {"bounds", "inputs", "time"}
     assert 'model = "quasi-static"' in Path("direct.toml").read_text()
+    axis = '<axis xyz="0 1 0"/>'
+    text = (DATA / "cart.urdf").read_text().replace(axis, axis + '<limit velocity="1"/>', 1)
+    Path("slow.urdf").write_text(text)
+    printed("new", "direct", "slow", *files[:3], "slow.urdf")
+    assert "speed = 0.12 " in Path("slow.toml").read_text()  # 0.8 times 1 rad/s, 0.15 m
     printed("new", "direct", "rigid", *files[:3], "rigid_skid_steer")
     assert 'model = "dynamics"' in Path("rigid.toml").read_text()
     assert "compare c.toml" in printed("new", "compare", "c", *files)

@@ -118,10 +118,7 @@ def test_rows_as_long_as_the_first_line(tmp_path, row):
         ("t,x [deg],yaw\n0,1,2\n", "values in m in the column 'x .deg.', found deg; project"),
         ("a.sec,a.nsec,b.sec,b.nsec,x,yaw\n1,2,3,4,0,0\n", "no column 't' among a.sec, a"),
         ("a,b,c\n0,1,2\n", "no column 'x', no column 'heading' among a, b, c"),
-        (
-            "t,x,yaw\n1,1,1\n2.500,0.000,\n",
-            ":3: expected .* found '2.500,0.000,'; correct or",
-        ),
+        ("t,x,yaw\n1,1,1\n2.500,0.000,\n", ":3: expected .* found '2.500,0.000,'; correct or"),
         ("t,X [in],yaw\n0,1,2\n", "no column 'x' .the unit of 'X .in.' is unknown: convert it"),
         ("x,t,x,yaw\n0,1,2,3\n", "found 2 columns 'x' among x, t, x, yaw; name the columns in"),
         ("1.234,5;2,5;3\n1.234,5;2,5;3\n", ":1: expected .* found '1.234,5;2,5;3'"),

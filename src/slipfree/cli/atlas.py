@@ -108,6 +108,9 @@ def atlas(
     for words in setup.warnings:
         console.warn(words)
     with verb.TileFolder(outs[0], setup, states) as tiles:
+        if tiles.missing and problem.spec.atlas.compiled and console.has_bar():
+            words = "compiling the equations, for up to a minute unless they are known"
+            console.print_line(words, err=True)
         with console.studying("tiles", tiles) as watch:
             verb.run_tiles(setup, tiles, workers, watch)
             files = [

@@ -67,7 +67,7 @@ def ground(
     with console.about(file):
         facts = survey(ground)
     console.add_json("ground", lambda: {name: fact._asdict() for name, fact in facts.items()})
-    lines = [*ground_facts(ground), *survey_lines(facts)]
+    lines = [*ground_facts(ground), *survey_lines(facts, problem.spec.terrain.rolled)]
     pose: Mapping[str, float] = {}
     try:
         if vehicle is not None or file.suffix.lower() == ".toml":

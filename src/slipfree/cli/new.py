@@ -37,6 +37,7 @@ TABLES = {  # comments
     "goal": "near the start: change it",
     "given": "commands of the platform: forward, to the left [m/s], counter-clockwise [rad/s]",
 }
+SPEED, MARGIN = r"(?m)^speed = ([\d.]+) *", 0.8  # of a starter; share of the limits of the URDF
 RIGID = '"quasi-static"  # slow motion', '"dynamics"  # motion with inertia'  # of a starter
 OTHER = {"name": "Rocky 7", "catalog": "rocky7"}  # vehicle of a comparison
 COMMANDS = {"v_x": 0.2, "v_y": 0.0, "omega_z": 0.05}  # of an inverse problem [m/s, rad/s]
@@ -94,7 +95,8 @@ def new(
         import numpy as np
 
         from slipfree.contact.closure import has_exact_closure
-        from slipfree.problem.build_vehicle import build_vehicle
+        from slipfree.files.urdf.links import largest_rates
+        from slipfree.problem.build_vehicle import build_vehicle, vehicle_file
         from slipfree.routing.traversability import extents
 
         for each in settings or []:
@@ -112,6 +114,11 @@ def new(
                 f"{words}; choose another map or vehicle"
             )
         spec, built = problem.spec, build_vehicle(problem)
+        if robot := vehicle_file(spec.vehicle, problem).robot:
+            rates = largest_rates(robot)
+            limits = (rates.get(wheel.name, np.inf) * wheel.radius for wheel in built.wheels)
+            slow = float(f"{MARGIN * min(limits):.2g}")
+            text = re.sub(SPEED, lambda each: f"speed = {min(float(each[1]), slow):<16g}", text)
         if not has_exact_closure(built):  # as required by quasi-statics
             text = text.replace(*RIGID)
         tables: dict[str, Any] = {

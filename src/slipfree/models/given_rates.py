@@ -553,11 +553,7 @@ def _quoted_list(names: Sequence[str]) -> str:
 
 
 def rolling_determinacy(
-    direct: Dae,
-    model: Dae,
-    given: Sequence[str],
-    solve_for: str,
-    least: float,
+    direct: Dae, model: Dae, given: Sequence[str], solve_for: str, least: float
 ) -> Determinacy:
     """Return the determinacy check of an inverse model of rolling without slip.
 

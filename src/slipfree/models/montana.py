@@ -355,9 +355,7 @@ def montana_kinematics(
         sampled,
         ode=ca.vertcat(q_dot, *leaves(tuple(rolling))),
         y=base.outputs(q, sampled)._replace(
-            **AMONG_STATES,
-            drift_position=distances,
-            drift_rotation=angles,
+            **AMONG_STATES, drift_position=distances, drift_rotation=angles
         ),
         limits=(
             # first, since other limits assume wheels without drift

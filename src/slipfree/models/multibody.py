@@ -134,10 +134,7 @@ class Multibody(NamedTuple):
 
 
 def multibody(
-    vehicle: Vehicle,
-    platform: Pose,
-    coordinates: Mapping[str, ca.SX],
-    speeds: Speeds,
+    vehicle: Vehicle, platform: Pose, coordinates: Mapping[str, ca.SX], speeds: Speeds
 ) -> Multibody:
     """Return a vehicle with mass as a system of rigid bodies.
 

@@ -108,9 +108,7 @@ def wheel_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:
 
 
 def _frame_poses(
-    vehicle: Vehicle,
-    run: Trajectory,
-    frames: Callable[[Pose, Mapping[str, ca.SX]], Sequence[Pose]],
+    vehicle: Vehicle, run: Trajectory, frames: Callable[[Pose, Mapping[str, ca.SX]], Sequence[Pose]]
 ) -> FramePoses:
     """Return the poses of frames over a motion."""
     names = (*POSITION, *(c.name for c in vehicle.coordinates))

@@ -18,6 +18,7 @@ from slipfree.core.trajectory import heading_column
 from slipfree.problem.build_ground import GroundMap
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasKeys, AtlasTable, build_atlas
+from slipfree.routing.traversability import extents
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import basis, coefficients_of
 
@@ -89,11 +90,13 @@ def survey(ground: GroundMap) -> dict[str, Fact]:
     return facts
 
 
-def survey_lines(facts: dict[str, Fact]) -> Lines:
-    """Return the lines of the summary that show the facts of `survey`."""
+def survey_lines(facts: dict[str, Fact], rolled: float | None = None) -> Lines:
+    """Return the lines that show the facts of `survey`, of a ground with hollows filled or not."""
     radius = facts["wheel_radius"].value
     values: dict[str, Any] = {k: v for k, v in facts.items() if k != "hole_share" or v.value}
     values["wheels"] = f"up to {radius:.3g} m" if radius < LARGEST_RADIUS else "any"
+    filled = f"terrain.rolled has filled those that a wheel of {rolled} m cannot touch"
+    values["remedy"] = filled if rolled else "terrain.rolled fills narrower hollows"
     return lines(SURVEY_ROWS, values | {"touching": f"{100 * TOUCHING:g} %"})
 
 
@@ -128,7 +131,10 @@ def stand(
     if not allowed.all():
         often = np.bincount(found.codes[~allowed]).argmax()
         words += f"; elsewhere mostly: {found.reasons[often]}"
-    facts = [(f"{setup.vehicle.name} stands", words)]
+    facts, size = [(f"{setup.vehicle.name} stands", words)], 2 * extents(setup.vehicle)[2]
+    if min(grid.spacing) > size:
+        words = f"larger than the vehicle ({size:.2g} m): roughness of its size is not in the map"
+        facts.append(("cells of the map", words))
     if not allowed.any():
         return {}, facts
     # beside holes and borders, a motion would soon end

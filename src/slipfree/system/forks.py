@@ -85,9 +85,7 @@ class _Forks:
 _forks = _Forks()
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(
-        before=_forks.before,
-        after_in_parent=_forks.in_parent,
-        after_in_child=_forks.in_child,
+        before=_forks.before, after_in_parent=_forks.in_parent, after_in_child=_forks.in_child
     )
 
 

@@ -151,10 +151,7 @@ class Parts(Generic[D]):
         return written is None or written == digest(self.file(number))
 
     def add(
-        self,
-        number: int,
-        record: Mapping[str, Any],
-        fill: Callable[[Path], object] | None = None,
+        self, number: int, record: Mapping[str, Any], fill: Callable[[Path], object] | None = None
     ) -> None:
         """Store a part: its file, written by ``fill`` if it has one, and its record."""
         self._check_inputs()

@@ -66,10 +66,7 @@ class Pool(Protocol[T_contra, D_co]):
 
 
 def finish_tasks(
-    tasks: Iterable[T],
-    pool: Pool[T, D],
-    poll: Poll,
-    lost: Callable[[T, str], D] | None = None,
+    tasks: Iterable[T], pool: Pool[T, D], poll: Poll, lost: Callable[[T, str], D] | None = None
 ) -> Generator[D, None, None]:
     """Yield the results of tasks in the order of completion; the pool remains open.
 
@@ -426,11 +423,7 @@ def bounded_call(
 
 
 def bounded_read(
-    function: Callable[..., T],
-    path: Path,
-    *arguments: Any,
-    rate: float = 1e6,
-    growth: float = 20.0,
+    function: Callable[..., T], path: Path, *arguments: Any, rate: float = 1e6, growth: float = 20.0
 ) -> T:
     """Return the result of a function that reads a file in a process with limits by its size.
 

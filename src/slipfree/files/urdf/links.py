@@ -51,6 +51,11 @@ def wheel_name(joint: str) -> str:
     return re.sub(r"[^\w-]", "_", joint)
 
 
+def largest_rates(robot: Robot) -> dict[str, float]:
+    """Return the velocity limits of a URDF's joints by the wheels that they may carry [rad/s]."""
+    return {wheel_name(joint.name): joint.max_rate for joint in robot.tree.joints.values()}
+
+
 def joint_values(vehicle: Vehicle, robot: Robot | None) -> tuple[ca.SX, dict[str, ca.SX]]:
     """Return the values of moving joints and of wheels, by the name of their joint [rad, m].
 

@@ -31,7 +31,7 @@ from slipfree.core.trajectory import (
     path_length,
 )
 from slipfree.files.netcdf import MAP_TRANSFORM, NOTHING
-from slipfree.files.urdf.links import wheel_name
+from slipfree.files.urdf.links import largest_rates
 from slipfree.laws.soil import Soil
 from slipfree.models.base import is_determinate
 from slipfree.models.friction_feasibility import BEST, best_utilisation
@@ -259,6 +259,7 @@ FIRST_LINES = """\
 *obstacles: {obstacles}: {obstacles.words}
 filled ground: {filled_samples} of {samples} samples have a wheel on interpolated heights; along \
 the contact points: <filled_paths> {wheel} {length:.4g} of {path_length:.4g} m"""
+SLIDES = 0.999  # utilisation above which a wheel slides, in models with friction
 FASTER = "faster_wheels"  # fact of motions whose wheels exceed limits of their URDF
 LAST_LINES = """\
 *faster than the URDF allows: <faster_wheels> {wheel} {rate:.3g} of {limit:.3g} rad/s
@@ -314,8 +315,7 @@ class DriveVerb(Verb, ABC):
             run = run.with_facts({"gravity": Fact(setup.vehicle.gravity, "m s-2")})
         vehicle, grid = setup.vehicle, setup.ground.grid
         robot = vehicle_file(problem.spec.vehicle, problem).robot
-        joints = robot.tree.joints.values() if robot else ()
-        limits = {wheel_name(joint.name): joint.max_rate for joint in joints}
+        limits = largest_rates(robot) if robot else {}
         rates = _by_wheel(run, {"rate": np.abs(run["wheel_rate"]).max(axis=0)})
         rows = [each | {"limit": limits.get(each["wheel"], np.inf)} for each in rates]
         if faster := [each for each in rows if each["rate"] > each["limit"]]:
@@ -558,12 +558,16 @@ def _friction(run: Trajectory, facts: Facts) -> str:
         )
     spread = ", for the forces that this motion needs"
     if run.attributes.get("model") in ("quasi-static", "dynamics"):
-        spread = f" by the law {run.attributes['law']!r}"
+        spread = f" by the law {run.attributes['law']!r}" + ": a wheel slides" * (
+            used.value > SLIDES
+        )
     enough = "" if used.value <= 1 else "; friction is not sufficient for this motion"
     if best is not None and best.value <= 1 < used.value:
         enough = ": friction can be sufficient"
     coefficient = run.attributes["ground_friction"]
-    return f"utilisation {where}, of a coefficient of {coefficient}{spread}{others}{enough}"
+    return (
+        f"utilisation {where}, as a share of the coefficient {coefficient}{spread}{others}{enough}"
+    )
 
 
 def _certificate(run: Trajectory, facts: Mapping[str, Fact]) -> str:
