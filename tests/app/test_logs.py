@@ -565,8 +565,7 @@ def test_missing_columns_of_logs_without_a_problem_file() -> None:
 
 
 @pytest.mark.parametrize(
-    ("half_base", "half_track", "unit"),
-    [(0.1, 0.125, "m/s"), (0.75, 0.6, "rad/s")],
+    ("half_base", "half_track", "unit"), [(0.1, 0.125, "m/s"), (0.75, 0.6, "rad/s")]
 )
 def test_size_of_a_vehicle_that_is_not_given(
     half_base: float, half_track: float, unit: str

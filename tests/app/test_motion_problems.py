@@ -263,8 +263,7 @@ def test_a_plan_is_made_with_three_widths_and_simulated_with_stiffer_wheels(plan
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("fails", "outcome"),
-    [(Outcome.SOLVER_FAILURE, Outcome.COMPLETE), 2 * (Outcome.INTERRUPTED,)],
+    ("fails", "outcome"), [(Outcome.SOLVER_FAILURE, Outcome.COMPLETE), 2 * (Outcome.INTERRUPTED,)]
 )
 def test_a_plan_survives_the_failure_of_a_sharper_law(plan_file, monkeypatch, fails, outcome):
     models = observed(monkeypatch, fails=fails)

@@ -95,8 +95,7 @@ def test_a_wheel_rolls_down_with_the_acceleration_of_the_closed_form(section, in
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("lean", "rho", "section"),
-    [(35, 0.3, Torus(0.03, 0.12)), (20, 0.8, Disc(0.15))],
+    ("lean", "rho", "section"), [(35, 0.3, Torus(0.03, 0.12)), (20, 0.8, Disc(0.15))]
 )
 def test_a_leaning_wheel_rolls_on_a_circle(lean, rho, section):
     mass, b = 2.0, np.deg2rad(lean)

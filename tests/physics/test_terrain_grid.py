@@ -140,12 +140,7 @@ RADIUS = 0.3
 
 def rough_ground(spacing=0.05):
     ground = power_law(
-        blank((0, 6), (0, 5), spacing),
-        rms=0.06,
-        hurst=0.6,
-        longest=3,
-        shortest=2 * spacing,
-        seed=1,
+        blank((0, 6), (0, 5), spacing), rms=0.06, hurst=0.6, longest=3, shortest=2 * spacing, seed=1
     )
     return place_rocks(ground, [(2.0, 2.0, 0.5, 0.2), (4.0, 3.0, 0.3, 0.15)])
 
