@@ -653,7 +653,7 @@ def test_a_plan_with_a_caster_that_swings_to_the_other_side_is_its_simulation(tm
     motion = result.trajectory
     assert result.outcome is Outcome.COMPLETE
     assert motion.facts["plan_difference_caster_angle"].value < 1e-3
-    assert "this plan is a simulation" in dict(motion_facts(motion))["cost"]
+    assert "this simulated motion is the plan" in dict(motion_facts(motion))["cost"]
 
 
 @pytest.mark.slow

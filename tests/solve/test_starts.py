@@ -280,7 +280,7 @@ PIT = Analytic(lambda x, y: -0.4 * ca.exp(-((x - 1) ** 2 + (y + 0.5) ** 2) / 0.0
         ({"azimuth": 0.1}, "start: expected values only for 'x', 'y', .*, found the unknown 'azim"),
         ({"guess": {"height": 1.0}}, "guess: expected names of unknowns of the model, z, roll"),
         ({"x": np.nan}, "x: expected a number, found float nan"),
-        ({"tilt_left": 0.3}, r"tilt_left .* reaches its stop: 0.3, allowed -0.2 to 0.2 rad"),
+        ({"tilt_left": 0.3}, r"tilt_left .* its stop: 17.19, allowed -11.4592 to 11.4592 deg"),
         ({"x": 4.5}, r"wheel right leaves the map.*-0\.49\d*, allowed at least 0 m"),
     ],
 )
@@ -293,7 +293,7 @@ def test_starts_that_are_none_are_refused(start, words):
 def test_a_wheel_stands_on_the_rim_of_a_pit_and_is_refused_upside_down(hilly):
     run = settle(direct_kinematics(three_wheeler(), PIT))
     assert run["clearance", "right"][0] >= 0
-    words = r"tilt_right .* reaches its stop: .* allowed -1.5 to 1.5 rad"
+    words = r"tilt_right .* reaches its stop: .* allowed -85.9437 to 85.9437 deg"
     refuses(ModelError, words, settle, hilly, tilt_right=3.2)
 
 

@@ -76,6 +76,8 @@ class Limit(NamedTuple):
         if self.describe is not None and (words := self.describe(x, z)):
             return words
         lower, upper, unit = self.lower, self.upper, self.label.unit
+        if unit == "rad":
+            (value, lower, upper), unit = np.degrees((value, lower, upper)).tolist(), "deg"
         allowed = f"at least {lower:g}" if np.isfinite(lower) else f"at most {upper:g}"
         if np.isfinite(lower) and np.isfinite(upper):
             allowed = f"{lower:g} to {upper:g}"

@@ -24,7 +24,8 @@ ITERATIONS_STATUS = "Maximum_Iterations_Exceeded"
 SIMULATED_STATUS = "Simulated"  # own status of a plan that is a simulation
 NOT_LEAST = {  # by the status of a stage of plans whose cost may not be minimal
     TIME_STATUS: "the search ended early",
-    SIMULATED_STATUS: "on no mesh did a plan agree with its simulation: this plan is a simulation",
+    SIMULATED_STATUS: "no plan agreed with its simulation: this simulated motion is the plan; for "
+    "less cost, try more plan.intervals",
 }
 ENDED_STATUSES = (STOPPED_STATUS, TIME_STATUS)  # no further program is solved after them
 MAX_FUTILE_ITERATIONS = 150  # without halving the violation; up to 97 in successful searches

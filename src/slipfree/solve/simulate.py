@@ -22,14 +22,7 @@ from slipfree.core.dae import LIMIT_ROUNDING, Dae, PiecewiseLinear, invalid_star
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import evaluate
 from slipfree.core.records import Array, Mask, Record, leaves, with_overview
-from slipfree.core.trajectory import (
-    Column,
-    Outcome,
-    SolverError,
-    Stop,
-    Trajectory,
-    joined,
-)
+from slipfree.core.trajectory import Column, Outcome, SolverError, Stop, Trajectory, joined
 from slipfree.solve.integrator import (
     COUNTS,
     EarlyEnd,
