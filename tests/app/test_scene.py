@@ -118,11 +118,11 @@ def test_arrows_are_slip_and_forces(drive: Driven) -> None:
     assert_allclose(force.vectors.sum(axis=1), weight, atol=2e-3)
     longest = np.linalg.norm(force.vectors, axis=-1).max() * scene.scales["force"]
     assert 0.4 * scene.reach < longest < 0.65 * scene.reach
-    labels = {entry.name: entry.label for entry in scene.entries}
-    assert labels["force"] == "force: 1 m of arrow length represents 150 N"
+    assert "force: 1 m of arrow length represents 150 N" in [each.label for each in scene.entries]
     speeds = 1e3 * np.linalg.norm(slip.vectors, axis=-1)
     assert_allclose(scene.actors[0].values["slip"], speeds, rtol=1e-6, atol=1e-9)
-    for vectors, scale in ((10 * slip.vectors, scene.scales["slip"]), (0 * slip.vectors + 3e-5, 0)):
+    fast, full = 1 + 0 * slip.vectors, scene.scales["slip"]
+    for vectors, scale in ((10 * slip.vectors, full), (fast, full / 10), (0 * fast + 3e-5, 0)):
         changed = scene.actors[0]._replace(arrows=(slip._replace(vectors=vectors),))
         assert scenes.arrow_scales([changed], scene.reach)[0]["slip"] == scale
 

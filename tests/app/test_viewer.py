@@ -380,9 +380,8 @@ def test_nodes_have_the_poses_of_the_motion(files: list[Path]) -> None:
 
 def test_tracks_are_ribbons_with_a_white_edge_beside_the_contact_points(files: list[Path]) -> None:
     server, _ = motion_nodes(files, np.zeros(1))
-    edge, track = (
-        server.scene.get_handle_by_name(f"/world/run 1/tracks/{name}") for name in ("edge", "own")
-    )
+    find = server.scene.get_handle_by_name
+    edge, track = (find(f"/world/run 1/tracks/{name}") for name in ("edge", "own"))
     assert tuple(edge.color) == (255, 255, 255)
     assert edge.vertices[..., 2].max() < track.vertices[..., 2].max()
     widths = [np.linalg.norm(np.diff(each.vertices[:2], axis=0)) for each in (edge, track)]

@@ -325,9 +325,8 @@ def _draw_curves(figure: Any, scene: Scene) -> list[Line2D]:
     kinds = [[each for each in scene.plotted if each.is_margin == kind] for kind in (False, True)]
     shown = [kind[0] for kind in kinds if kind]
     cursors = list[Line2D]()
-    for ax, plotted in zip(
-        figure.subplots(1, len(shown) or 1, squeeze=False)[0], shown, strict=False
-    ):
+    axes = figure.subplots(1, len(shown) or 1, squeeze=False)[0]
+    for ax, plotted in zip(axes, shown, strict=False):
         for name, color, t, values in scene.curves(plotted):
             ax.plot(t, values, color=color, lw=0.8, label=name)
         unit = f" [{plotted.unit}]" if plotted.unit else ""

@@ -137,7 +137,7 @@ def _plots(scene: Scene) -> str:
         return ""
     first, last = scene.span
     lines = " ".join(f'<b style="color:{color}">{escape(n)}</b>' for n, color in names.items())
-    ends = f"<span>{first:g} s</span><b></b><span>{last:g} s</span>"
+    ends = f"<span>{round(first, 2):g} s</span><b></b><span>{round(last, 2):g} s</span>"
     return f'{lines}{plots}<div data-first="{first}" data-last="{last}">{ends}</div>'
 
 

@@ -48,7 +48,7 @@ from slipfree.vehicle.tree import Joint, Vehicle, Wheel
 BLOCKED = (120, 120, 120)  # colour of blocked nodes
 LONGEST = 0.6  # length of the longest arrows [reach of the vehicle]
 ROUND = (1, 1.5, 2, 3, 4, 5, 6, 8, 10)  # round scales of arrows, times a power of ten
-FULL_SLIP = 0.1  # slip of an arrow of the length `LONGEST`, in all scenes [m/s]
+FULL_SLIP = 0.1  # slip of an arrow of the length `LONGEST`, unless most are twice as long [m/s]
 LEAST = {"slip": 1e-4, "force": 1e-3}  # arrows of smaller vectors are omitted [m/s, N]
 UNITS = {"slip": "m/s", "force": "N"}
 ARROWS = {"slip": (0, 0, 0), "force": (255, 0, 255)}  # different from the colours of runs
@@ -93,7 +93,8 @@ class Plotted(NamedTuple):
     def words(self, low: float, high: float) -> str:
         """Return the range of the axis in words."""
         more = " or more" if high == self.most else ""
-        return f"{low:.3g} to {high:.3g} {self.unit}".rstrip() + more
+        low, high = (float(f"{end:.3g}") for end in (low, high))
+        return f"{low:g} to {high:g} {self.unit}".rstrip() + more  # without exponents
 
 
 PLOTTED = (
@@ -303,12 +304,11 @@ class Scene(NamedTuple):
 
     def track_layers(self, actor: Actor) -> list[Layer]:
         """Return the colourings of the tracks of a motion, none of a vehicle at rest."""
-        layers = list[Layer]()
-        for each, (low, high) in self.plotted.items():
-            if not each.is_margin and each.name in actor.values and actor.t.size > 1:
-                values, legend = actor.values[each.name], each.words(low, high)
-                layers.append(layer(each.name, values, legend, low, high))
-        return layers
+        return [
+            layer(each.name, actor.values[each.name], each.words(low, high), low, high)
+            for each, (low, high) in self.plotted.items()
+            if not each.is_margin and each.name in actor.values and actor.t.size > 1
+        ]
 
     @property
     def paths(self) -> Array:
@@ -331,26 +331,22 @@ def arrow_scales(actors: Sequence[Actor], reach: float) -> tuple[dict[str, float
     """Return the lengths of arrows per unit, zero without arrows, and notes on missing arrows.
 
     Scales are round. That of slip depends on the size of the vehicle only, so that arrows of
-    different motions can be compared; that of forces keeps nearly all arrows below a length.
+    different motions can be compared, unless arrows would be longer than twice the length below
+    which the scale of forces keeps nearly all arrows.
     """
     scales, notes = dict.fromkeys(LEAST, 0.0), []
     for name, least in LEAST.items():
-        sizes = np.concatenate(
-            [
-                np.linalg.norm(each.vectors, axis=-1).ravel()
-                for actor in actors
-                for each in actor.arrows
-                if each.name == name
-            ]
-            or [np.zeros(0)]
-        )
+        vectors = [each.vectors for actor in actors for each in actor.arrows if each.name == name]
+        lengths = (np.linalg.norm(each, axis=-1).ravel() for each in vectors)
+        sizes = np.concatenate([np.zeros(0), *lengths])
         sizes = sizes[np.isfinite(sizes)]
         if not sizes.size:
             notes.append(f"No {name} is drawn: the results contain no {name}.")
         elif sizes.max() < least:
             notes.append(f"No {name} is drawn: it is at most {sizes.max():.1e} {UNITS[name]}.")
         else:
-            longest = FULL_SLIP if name == "slip" else max(float(np.percentile(sizes, 99)), least)
+            nearly = float(np.percentile(sizes, 99))
+            longest = max(FULL_SLIP, nearly / 2) if name == "slip" else max(nearly, least)
             scales[name] = 1 / round_step(0.999 * longest / (LONGEST * reach), ROUND)
     return scales, notes
 
@@ -515,11 +511,8 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
         feet = np.array([[each.value[axis] for axis in "xyz"] for each in places]) - origin
         posts, labels = _posts(feet, reach, [each.words for each in places])
         closest.append(Lines("closest", "bodies above the ground", CLOSEST_COLOR, posts, labels))
-    lines = (
-        *map_lines(drawn, first.terrain, window, origin, reach),
-        *closest,
-        *_plan_lines(first, window, origin, reach),
-    )
+    plan = _plan_lines(first, window, origin, reach)
+    lines = (*map_lines(drawn, first.terrain, window, origin, reach), *closest, *plan)
     gray = np.tile(np.array(BLOCKED, np.uint8), (sum(len(each.vertices) for each in solids), 1))
     ground = SceneGround(
         joined(fine.mesh(origin), *solids),
@@ -537,9 +530,8 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
     scales, missing = arrow_scales(actors, reach)
     place = ", ".join(f"{value + 0.0:.10g}" for value in origin)  # no minus zero
     notes += [f"The origin of the scene is ({place}) m in map coordinates.", *missing]
-    return Scene(
-        ground, tuple(actors), origin, reach, backdrop, scales, tuple(notes), tuple(warnings)
-    )
+    words = tuple(notes), tuple(warnings)
+    return Scene(ground, tuple(actors), origin, reach, backdrop, scales, *words)
 
 
 def _posts(
