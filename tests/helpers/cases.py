@@ -78,7 +78,7 @@ def drive(terrain, t, *, vehicle=None, rates=None, tolerance=1e-8, flags=(), **s
     """Drive a vehicle, the paper's by default, at constant rates, the paper's by default."""
     dae = closure_model(vehicle or three_wheeler(), terrain)
     inputs = dae.inputs(**(rates or PAPER_RATES))
-    options = {"options": SolverOptions(tolerance=tolerance), **dict.fromkeys(flags, True)}
+    options = {"options": SolverOptions(tolerance=tolerance), **dict(flags)}
     return simulate(dae, settle(dae, **start), inputs, t, **options)
 
 

@@ -469,10 +469,11 @@ def test_without_slip_the_work_of_the_drives_is_the_energy_gained():
 
 
 def test_work_from_samples_has_an_error_of_fourth_order():
-    exact, flags = climb(), ("sampled_work", "states_only")
+    exact, flags = climb(), {"sampled_work": True, "states_only": True}
     rough, fine = runs = [climb(count=n, flags=flags) for n in (21, 41)]
     errors = [abs(run["work"][-1] / exact["work"][-1] - 1) for run in runs]
     assert 12 * errors[1] < errors[0] < 1e-6
+    assert not climb(count=3, flags={"sampled_work": None})["work"].any()
     assert rough.statistics["steps"] < 0.7 * exact.statistics["steps"]
     assert max(abs(fine[name][-1] - exact[name][-1]) for name in ("x", "y", "heading")) < 1e-9
 

@@ -247,7 +247,7 @@ def guess_motion(
     the first sample, it ends there.
     """
     rough = replace(options, tolerance=GUESS_TOLERANCE)
-    run = simulate_to_failure(trip.dae, trip.start, *drive, rough, sampled_work=True)
+    run = simulate_to_failure(trip.dae, trip.start, *drive, rough, sampled_work=None)
     if guide.paths and len(trip.places) > 1:
         x, y = trip.places[-1]
         away = np.hypot(run["x"] - x, run["y"] - y)

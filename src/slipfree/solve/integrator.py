@@ -43,6 +43,7 @@ class MotionSolver(NamedTuple):
     tolerance: float
     method: Method
     watch: ca.Function  # of the system; see ``make_watch``
+    late: ca.Function | None  # the same with all rates, to sample those that ``watch`` leaves out
     suppress_algebraic: bool  # whether IDAS's error test ignores the unknowns
 
 
@@ -181,9 +182,9 @@ def _call_integrator(
     z[: len(found)] = found * m_size
     # Scaling and the consistent start of IDAS change the first sample: restore it.
     x[:, :1], z[:, :1] = at.x, at.z
-    if solver.watch is not system.watch:
+    if solver.late is not None:
         where = t[None], x, z[: len(found)], columns
-        every, own = (evaluate(f, *where)[0] for f in (system.watch, solver.watch))
+        every, own = (evaluate(f, *where)[0] for f in (solver.late, solver.watch))
         q[: len(own)] += integrate_samples(t, every - own)
     counts = {name: float(statistics[key]) for name, key in COUNTS.items()}
     inputs = np.column_stack([u, u[:, -1:]])

@@ -380,7 +380,7 @@ def simulate(
     events: Sequence[Event] = (),
     progress: Progress | None = None,
     sampled: bool = False,
-    sampled_work: bool = False,
+    sampled_work: bool | None = False,
     states_only: bool = False,
 ) -> Trajectory:
     """Integrate the motion from a start under given inputs.
@@ -416,11 +416,11 @@ def simulate(
         of time, states and inputs that are numbers are evaluated at evenly spaced samples, where
         CVODES restarts. For models without algebraic unknowns. With periods of 10 and 20 ms, the
         motion of a dynamic model takes 3 to 40 times as long as with continuous inputs.
-    sampled_work : bool
+    sampled_work : bool or None
         Whether the work of drives whose forces follow from the motion is integrated from its power
         at the samples, by cubic polynomials. A motion with rigid wheels then takes half of the
         time. The error falls with the fourth power of the time between samples, but is not
-        controlled: use it for dense samples.
+        controlled: use it for dense samples. With None, this work is left out.
     states_only : bool
         Whether IDAS's error test ignores the algebraic unknowns, which follow from the states at
         every sample. It then takes half to a fifth of the steps, but at equal tolerance the error
@@ -463,7 +463,8 @@ def simulate(
             system, law = with_held_inputs(model, inputs, t, options)
         else:
             system = with_inputs(model, inputs, t.size - 1, options)
-        watch = system.make_watch(not sampled_work)
+        watch = system.make_watch(sampled_work is False)
+        late = system.watch if sampled_work and watch is not system.watch else None
         method = options.method or ("idas" if system.motion_size else "cvodes")
         if method == "cvodes" and system.motion_size:
             raise ModelError(
@@ -472,7 +473,7 @@ def simulate(
             )
         method = "idas" if method == "explicit" else method  # for the location of ends
         ignored = model.suppress_algebraic or states_only
-        solver = MotionSolver(system, guard, options.tolerance, method, watch, ignored)
+        solver = MotionSolver(system, guard, options.tolerance, method, watch, late, ignored)
         samples, counts = _initial_sample(system, start, t[0]), dict.fromkeys(COUNTS, 0.0)
         end: EarlyEnd | None = None
         clock = time.process_time()

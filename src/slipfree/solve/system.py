@@ -512,9 +512,8 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
             for block in dependent:
                 found = _solve_symbolically(block, [t_0, x_0, found, u_0])
         laws = dae.function("law", [dae.t, x, unknowns, u], [ca.vertcat(ca.SX(0, 1), *used)])
-        symbols = [dae.t, x, unknowns, inputs]
-        parts = [quad, margin, watched[2]]
-        values = model_function(dae, "watch", symbols, parts, compiled=compiled)
+        of = [dae.t, x, unknowns, inputs]
+        values = model_function(dae, "watch", of, [quad, margin, watched[2]], compiled=compiled)
         at = t_0, x_0, found
         return ca.Function("watch", given, list(values(*at, laws(*at, u_0))))
 
