@@ -77,6 +77,8 @@ def test_maps_in_degrees_are_converted():
     out = printed("ground", "deg.npz", "--no-draw")
     assert out.startswith("the map is in degrees; it is converted to metres")
     assert "786.199 x 1111.95 m, 20 x 20 nodes" in out  # 0.01 deg of the mean sphere
+    words = "deg.npz", "three_wheeler", "--every", "9", "--headings", "1", "--no-draw"
+    assert "converted to metres by" in invoke("atlas", *words).stdout
 
 
 def test_the_ground_of_a_problem_and_errors():

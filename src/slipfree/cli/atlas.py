@@ -87,7 +87,7 @@ def atlas(
     own += settings or []
     with console.as_arguments():
         if vehicle is not None:
-            problem = console.problem_of_map(file, vehicle, own, trust)
+            problem, _ = console.ground_of(file, vehicle, own, trust, "paper")
         elif file.suffix.lower() == ".toml":
             problem = console.read_problem(file, own, trust, "atlas")
         else:

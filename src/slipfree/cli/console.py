@@ -556,7 +556,11 @@ def problem_of_map(
 
 
 def ground_of(
-    file: Path, vehicle: str | None, settings: Sequence[str], trust: list[Path] | None
+    file: Path,
+    vehicle: str | None,
+    settings: Sequence[str],
+    trust: list[Path] | None,
+    frame: str = "rep103",
 ) -> tuple[Problem[Any], GroundMap]:
     """Return a problem with the map, and its ground; maps in degrees are converted."""
     from slipfree.files.maps.elevation import DegreesError
@@ -566,7 +570,7 @@ def ground_of(
     if file.suffix.lower() == ".toml" and vehicle is None:
         problem = read_problem(file, [*settings], trust, "vehicle")
         return problem, build_ground(problem)
-    problem = problem_of_map(file, vehicle or ANY_VEHICLE, ["frame=rep103", *settings], trust)
+    problem = problem_of_map(file, vehicle or ANY_VEHICLE, [f"frame={frame}", *settings], trust)
     try:
         return problem, build_ground(problem)
     except ProblemError as error:
@@ -574,7 +578,7 @@ def ground_of(
             raise
     key = "terrain.geographic=local"
     print_line(f"the map is in degrees; it is converted to metres by --set {key}")
-    return ground_of(file, vehicle, [key, *settings], trust)
+    return ground_of(file, vehicle, [key, *settings], trust, frame)
 
 
 def start_on(problem: Problem[Any], grid: Grid) -> tuple[Mapping[str, float], Lines]:
