@@ -30,7 +30,6 @@ HOLE = "FILE"  # placeholder of the file name in the comments of a template
 SHIPPED = "problems"  # in the package
 OWN = ("terrain", "vehicle")  # tables with the user's files
 FRICTION = 0.6  # assumed coefficient
-AHEAD = 6.0  # distance of the goal [reach of the vehicle]
 TABLES = {  # comments
     "terrain": "see docs/elevation.md; the coefficient of friction is an assumption",
     "start": "where the vehicle stands; height, pitch and roll follow from the ground",
@@ -44,9 +43,7 @@ COMMANDS = {"v_x": 0.2, "v_y": 0.0, "omega_z": 0.05}  # of an inverse problem [m
 NEEDED = re.compile(r'\b(?:file|friction) = "(.+?)"')  # keys with names of input files
 
 
-Kind = Literal[
-    "direct", "inverse", "plan", "atlas", "compare"
-]  # of a problem: the name of its template
+Kind = Literal["direct", "inverse", "plan", "atlas", "compare"]  # name of a template
 
 
 def new(
@@ -92,12 +89,10 @@ def new(
                 f"new: expected --ground and --vehicle together, found no {missing}; add it, or "
                 "omit all options and change the written file"
             )
-        import numpy as np
-
         from slipfree.contact.closure import has_exact_closure
         from slipfree.files.urdf.links import largest_rates
         from slipfree.problem.build_vehicle import build_vehicle, vehicle_file
-        from slipfree.routing.traversability import extents
+        from slipfree.problem.ground_survey import distant_goal
 
         for each in settings or []:
             if not each.startswith(tuple(f"{name}." for name in OWN)):
@@ -116,14 +111,13 @@ def new(
         spec, built = problem.spec, build_vehicle(problem)
         if robot := vehicle_file(spec.vehicle, problem).robot:
             rates = largest_rates(robot)
-            limits = (rates.get(wheel.name, np.inf) * wheel.radius for wheel in built.wheels)
+            limits = (rates.get(wheel.name, math.inf) * wheel.radius for wheel in built.wheels)
             slow = float(f"{MARGIN * min(limits):.2g}")
             text = re.sub(SPEED, lambda each: f"speed = {min(float(each[1]), slow):<16g}", text)
         if not has_exact_closure(built):  # as required by quasi-statics
             text = text.replace(*RIGID)
-        tables: dict[str, Any] = {
-            name: getattr(spec, name).model_dump(exclude_unset=True) for name in OWN
-        }
+        given_keys = (getattr(spec, name).model_dump(exclude_unset=True) for name in OWN)
+        tables: dict[str, Any] = dict(zip(OWN, given_keys, strict=True))
         for table in tables.values():
             if "file" in table:
                 table["file"] = Path(os.path.relpath(table["file"], out.parent)).as_posix()
@@ -136,16 +130,7 @@ def new(
         if kind == "compare":
             tables["vehicles"] = [{"name": Path(vehicle).stem, **tables.pop("vehicle")}, OTHER]
         if kind == "plan":
-            # ahead, left, right or behind: the farthest place that is on the map
-            reach, here = extents(built)[2], np.array([*place.values()])
-            west, east, south, north = surface.grid.domain
-            low, high = np.array([west, south]), np.array([east, north])
-            margin = np.minimum(reach, (high - low) / 2)
-            turns = heading + math.pi * np.array([0.0, 0.5, -0.5, 1.0])
-            goals = here + AHEAD * reach * np.stack([np.cos(turns), np.sin(turns)], axis=1)
-            goals = np.clip(goals, low + margin, high - margin)
-            distances = np.linalg.norm(goals - here, axis=1).round(2)
-            goal = goals[np.argmax(distances)].round(3).tolist()
+            goal = distant_goal(surface.grid, built, place["x"], place["y"], heading)
             tables["goal"] = dict(zip("xy", goal, strict=True))
         text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
     write_new_file(text, out, force)

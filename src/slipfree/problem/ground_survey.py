@@ -21,6 +21,7 @@ from slipfree.problem.verbs.atlas import AtlasKeys, AtlasTable, build_atlas
 from slipfree.routing.traversability import extents
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import basis, coefficients_of
+from slipfree.vehicle.tree import Vehicle
 
 STEEP = 20.0, 30.0  # slopes that are counted [deg]
 SPIKE = 3.0  # height of spikes above all neighbours, in differences between these [1]
@@ -30,6 +31,7 @@ COARSE = 0.01  # rounded heights matter if their step exceeds this share of the 
 WHOLE = 1e-6  # heights within this share of a step are multiples of it [1]
 PLACES, HEADINGS = 12, 4  # places along an axis, and headings, at which the vehicle is put
 LARGEST_RADIUS = 1e3  # of a wheel that is printed [m]
+AHEAD = 6.0  # distance of a suggested goal [reach of the vehicle]
 TOUCHING = 0.99  # share of the nodes at which a wheel touches once
 
 SURVEY_ROWS = named_rows("survey")
@@ -148,6 +150,21 @@ def stand(
     start = f'x = {x[i]:.10g}, y = {y[j]:.10g}, heading = "{degrees(turned):.4g} deg"'
     pose = {"x": float(x[i]), "y": float(y[j]), "heading": turned, **tilts}
     return pose, [*facts, ("start", f"{start} ({spec.frame}; {shown})")]
+
+
+def distant_goal(grid: Grid, vehicle: Vehicle, x: float, y: float, heading: float) -> list[float]:
+    """Return x and y of a goal for a vehicle: ahead, left, right or behind, as far as on the map.
+
+    ``heading`` is counted from the x axis [rad].
+    """
+    here, reach, (west, east, south, north) = np.array([x, y]), extents(vehicle)[2], grid.domain
+    low, high = np.array([west, south]), np.array([east, north])
+    margin = np.minimum(reach, (high - low) / 2)
+    turns = heading + np.pi * np.array([0.0, 0.5, -0.5, 1.0])
+    goals = here + AHEAD * reach * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    goals = np.clip(goals, low + margin, high - margin)
+    distances = np.linalg.norm(goals - here, axis=1).round(2)
+    return [round(float(each), 3) for each in goals[np.argmax(distances)]]
 
 
 def _known(grid: Grid) -> Mask:
