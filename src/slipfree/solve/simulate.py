@@ -420,7 +420,8 @@ def simulate(
         Whether the work of drives whose forces follow from the motion is integrated from its power
         at the samples, by cubic polynomials. A motion with rigid wheels then takes half of the
         time. The error falls with the fourth power of the time between samples, but is not
-        controlled: use it for dense samples. With None, this work is left out.
+        controlled: use it for dense samples. With None, this work is not computed, and zero in
+        the result.
     states_only : bool
         Whether IDAS's error test ignores the algebraic unknowns, which follow from the states at
         every sample. It then takes half to a fifth of the steps, but at equal tolerance the error
