@@ -100,8 +100,8 @@ def motion_equations(
     driven = ca.vertcat(ca.SX(0, 1), *used)
     symbols = [dae.t, x, m, u]
     derivatives = ca.jacobian(driven, ca.vertcat(x, m))
-    law_values = dae.function("law", symbols, [driven], {"cse": True})
-    law_slopes = dae.function("law_slopes", symbols, [derivatives], {"cse": True})
+    law_values = dae.function("law", symbols, [driven])
+    law_slopes = dae.function("law_slopes", symbols, [derivatives])
     given = [ca.MX.sym(name, each.numel()) for name, each in zip("txmu", symbols, strict=True)]
     results = lookup_results(lookups, symbols[:3], given[:3])
     point = [*given[:3], law_values(*given), results]
@@ -241,7 +241,7 @@ def block_functions(
     follows = bool(by_law.nnz())  # laws of unknowns of the block add to its Jacobian
     lookups, *functions = _model_block(dae, span, continuation, follows, compiled)
     symbols = [dae.t, x, z, u, continuation]
-    laws = dae.function("law", symbols, [driven, by_law], {"cse": True})
+    laws = dae.function("law", symbols, [driven, by_law])
     given = [ca.MX.sym(name, each.numel()) for name, each in zip("txzuc", symbols, strict=True)]
     inputs, slopes = laws.call(given)
     results = lookup_results(lookups, symbols[:3], given[:3])
