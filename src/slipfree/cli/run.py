@@ -115,9 +115,8 @@ def run(
         for words in verb.warnings(motion):
             console.warn(words)
     names = ", ".join(map(str, files))
-    console.print_line(
-        f"wrote {names}; all facts: {shlex.join(['slipfree', 'info', str(files[0])])}"
-    )
+    facts = shlex.join(["slipfree", "info", str(files[0])])
+    console.print_line(f"wrote {names}; all facts: {facts}")
     console.detail(f"wrote {names}")
     if cross_check and not is_interrupted:
         with _after(files[0], "cross-check"):
@@ -144,9 +143,8 @@ def run(
         with _after(files[0], "show"):
             show_results([files[0]])
     if result.outcome.exit_code:
-        outputs.print_incomplete(
-            motion, files[0], outputs.resume_command(motion, files[0], *options)
-        )
+        again = outputs.resume_command(motion, files[0], *options)
+        outputs.print_incomplete(motion, files[0], again)
     elif is_interrupted:
         console.print_error(f"interrupted; {files[0]} contains the result, which is complete")
     if code := INTERRUPTED if is_interrupted else result.outcome.exit_code:

@@ -55,9 +55,8 @@ def compare(
             axle, stop = "{min:.3f} to {max:.3f}".format_map(motion["axle"]), motion["stop"]
             stopped = "stopped at {time:.3g} s by {name}".format_map(stop) if stop else ""
             rolls = "yes" if row["rank"] == row["conditions"] else "no"
-            shown.append(
-                {**values, "axle": axle, "stop": stopped, "name": row["name"], "rolls": rolls}
-            )
+            more = {"axle": axle, "stop": stopped, "name": row["name"], "rolls": rolls}
+            shown.append({**values, **more})
         console.print_line("\n".join(table(COMPARED, shown)))
     console.print_line(
         "\n* whether the vehicle can roll without slip at suitable rates\n** largest friction "

@@ -76,10 +76,8 @@ class _GifWriter(PillowWriter):
         frames: list[Image.Image] = [each.convert("RGB") for each in self._frames]  # type: ignore[attr-defined]
         palette = frames[len(frames) // 2].quantize(FILM_COLORS, OCTREE)
         drawn = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames]
-        duration = int(1000 / self.fps)
-        drawn[0].save(
-            self.outfile, save_all=True, append_images=drawn[1:], duration=duration, loop=0
-        )
+        look: dict[str, Any] = {"duration": int(1000 / self.fps), "loop": 0}
+        drawn[0].save(self.outfile, save_all=True, append_images=drawn[1:], **look)
 
 
 def animate(

@@ -64,9 +64,7 @@ def with_legend(
         )
     warned = "".join(f'<p class="warning">{escape(each)}</p>' for each in scene.warnings)
     notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, SAVED_KEYS))
-    grounds = {
-        layer.name: (layer, [f"{WORLD}/ground {layer.name}"]) for layer in scene.ground.layers
-    }
+    grounds = {each.name: (each, [f"{WORLD}/ground {each.name}"]) for each in scene.ground.layers}
     tracks: dict[str, tuple[Layer | None, list[str]]] = {"as the vehicle": (None, [])}
     for k, actor in enumerate(scene.actors, 1):
         for layer in scene.track_layers(actor):
@@ -109,9 +107,8 @@ def _choice(
         shown = ""
         if layer:
             stops = ",".join(map(_css, layer.scale))
-            shown = (
-                f'<div class="scale" style="background:linear-gradient(to right,{stops})"></div>'
-            )
+            look = f"background:linear-gradient(to right,{stops})"
+            shown = f'<div class="scale" style="{look}"></div>'
             shown += f"<div>{escape(style.words(layer.name))}: {escape(layer.legend)}</div>"
         legends += f'<div id="{escape(at)}"{"" if is_chosen else " hidden"}>{shown}</div>'
     return f"<div>{name} <select>{options}</select></div>{legends}"

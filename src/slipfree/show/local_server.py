@@ -176,9 +176,8 @@ def start_server(
 
 def taken(port: int) -> DataError:
     """Return the error of a port in use."""
-    return DataError(
-        f"--port: expected a free port, found {port} in use; omit --port to choose a free port"
-    )
+    remedy = "omit --port to choose a free port"
+    return DataError(f"--port: expected a free port, found {port} in use; {remedy}")
 
 
 class _Server(ThreadingHTTPServer):

@@ -397,9 +397,8 @@ def map_lines(
     lines = [contours(drawn), Lines("grid", f"every {step:g} m", GRAY, segments, shown)]
     size = ARROW * long
     tip, head = np.array([east - 0.5 * size, north - 0.3 * size]), 0.3 * size
-    corners = tip + np.array(
-        [[0, -size], [0, 0], [-0.4 * head, -head], [0, 0], [0.4 * head, -head]]
-    )
+    outline = [[0, -size], [0, 0], [-0.4 * head, -head], [0, 0], [0.4 * head, -head]]
+    corners = tip + np.array(outline)
     arrow = draped(corners[:, 0], corners[:, 1])
     arrow[:, 2] = np.nanmax(arrow[:, 2]) if np.isfinite(arrow[:, 2]).any() else drawn.values.max()
     lines.append(Lines("north", "to +y of the map", RED, _segments(arrow), (("N", arrow[1]),)))
@@ -584,12 +583,10 @@ def _backdrop(
 
     def near(middle: Array, half: float, count: int) -> tuple[Array, Array]:
         """Return faces of ground and solids within ``half`` of a point, in scene coordinates."""
-        west, east, south, north = terrain.domain
+        ends = np.reshape(terrain.domain, (2, 2)).T  # low, high
         x, y = (
             np.clip(np.linspace(at - half, at + half, count) + start, low, high)
-            for at, start, low, high in zip(
-                middle, origin, (west, south), (east, north), strict=False
-            )
+            for at, start, low, high in zip(middle, origin, *ends, strict=False)
         )
         x, y = np.meshgrid(x, y, indexing="ij")
         points = np.stack([x, y, terrain.elevation(x, y)], axis=-1) - origin

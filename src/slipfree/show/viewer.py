@@ -209,10 +209,8 @@ class _RunNodes:
         points, up = whole.contacts[::every], np.array([0.0, 0.0, lift])
         for width, color, height in ((CASING, WHITE, 0.5), (TRACK, whole.color, 1.0)):
             mesh = tracks(points + height * up, width * scene.reach, dashed=whole.ghost)
-            name = f"{root}/{'edge' if color == WHITE else 'own'}"
-            server.scene.add_mesh_simple(
-                name, mesh.vertices, mesh.faces, color=color, side="double"
-            )
+            drawn = f"{root}/{'edge' if color == WHITE else 'own'}", mesh.vertices, mesh.faces
+            server.scene.add_mesh_simple(*drawn, color=color, side="double")
         path = whole.bodies[0].origins[::every]
         lines = np.stack([path[:-1], path[1:]], axis=1, dtype="f4")
         server.scene.add_line_segments(f"{root}/path", lines, whole.color, visible=False, **PATH)
