@@ -749,6 +749,7 @@ BARE = FOUR.replace(WHEEL, "").replace("continuous", "fixed").replace("_left", "
 BARE = BARE.replace("_right", "_right_wheel")
 UPRIGHT_AXLES = corners(wheel).replace('xyz="0 1 0"', 'xyz="0 0 1"')
 TRACKS = fixed("leftTrack", "0 0.3 0") + fixed("rightTrack", "0 -0.3 0")
+INCHES = wheels("{e}{s}", {"f": 9, "r": -9}, track=9, radius=3).replace('"1"', '"99"')
 LEGS = "".join(limb(f"leg_{k}", more=LIMIT) for k in range(4))
 
 
@@ -780,9 +781,8 @@ ASKED = {
         corners(wheel).replace("-0.3 -0.2 0", "-0.3 -0.2 0.1"), "", ((4, 0), (3, 0))
     ),
     "a wheel in another": (FOUR.replace("-0.2 -0.15 0", "-0.2 0.15 0"), "at different places", ()),
-    "centimetres": (
-        wheels("{e}{s}", {"f": 30, "r": -30}, track=40, radius=10), "heavier than air", ((4, 0),)
-    ),
+    "centimetres": (wheels("{e}{s}", {"f": 9, "r": -9}, track=9, radius=2), "heavier than air", ()),
+    "inches": (INCHES, "are all lengths in millimetres, centimetres or inches", ((4, 0),)),
     "upright axles": (
         UPRIGHT_AXLES, "the axles of the wheels are missing: front_left_wheel_joint, ", ()
     ),

@@ -102,6 +102,7 @@ def atlas(
     figures = outs[0].parent / f"{outs[0].stem}_figures"
     inputs = files_read(problem)
     outputs.check_outputs(outs, inputs, endings=ENDINGS, folder=figures if draw else None)
+    earlier = ", which replaces the earlier file" * outs[0].exists()
     with console.as_arguments():
         setup = verb.build_atlas(problem)
     console.print_facts(setup.facts, main=[setup.facts[0], setup.facts[-1]])
@@ -123,7 +124,7 @@ def atlas(
     console.add_json("atlas", lambda: {name: fact._asdict() for name, fact in facts.items()})
     if not facts["allowed_share"].value:
         console.warn("no pose is allowed; the summary lists the reasons")
-    console.print_line(f"wrote {', '.join(map(str, files))}")
+    console.print_line(f"wrote {', '.join(map(str, files))}{earlier}")
     if draw:
         from slipfree.show.atlas_figures import atlas_plots
 

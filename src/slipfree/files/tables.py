@@ -465,6 +465,8 @@ def _choose(
         if len(indices) != 1:
             fault = f"{len(indices)} columns {name!r}" if indices else f"no column {name!r}"
             with_unit = re.compile(rf"{re.escape(base)}\s*[\[(]", re.IGNORECASE)
+            if "x" in same and any({*map(str.lower, names)} & each for each in ALIASES[-2:]):
+                fault += " (project longitude and latitude to metres)"
             if not indices and (odd := next(filter(with_unit.match, names), "")):
                 fault += f" (the unit of {odd!r} is unknown: convert it to an SI unit)"
             faults.append(fault)

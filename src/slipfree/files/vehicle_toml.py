@@ -34,6 +34,7 @@ from slipfree.vehicle.tree import DRIVES, RATE, Drive, Wheel
 
 RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
 MAX_RADIUS = 3.0  # of a wheel over the sum of the distances of wheels and joints from parents [1]
+LARGE, AIR = 0.5, 1.2  # radius above those of most robots [m], and density [kg/m^3]
 SAME_PLACE = 0.01  # smallest distance of two wheels [radii]
 MAX_WHEEL_MASS = 4e5  # of a radius of 1 m: four balls of osmium, the densest material [kg]
 MAX_LENGTH = 100.0  # largest length in a vehicle [m]
@@ -124,6 +125,12 @@ def misfits(draft: Draft, few: str = "add wheels") -> Iterator[tuple[str, str]]:
         if wheel.mass > (most := MAX_WHEEL_MASS * wheel.radius**3):
             expected = f"a mass of wheel {wheel.name} in kg, at most {most:.3g} for its radius"
             yield expected, f"{wheel.mass:g} (did you mean grams? write {wheel.mass / 1000:g})"
+    mass = sum(body.mass for body in (draft.body, *(joint.body for joint in draft.joints)))
+    mass += sum(wheel.mass for wheel in draft.wheels)
+    least = AIR * sum(wheel.radius**3 for wheel in draft.wheels)  # about the volume of the wheels
+    if 0 < mass < least and any(wheel.radius > LARGE for wheel in draft.wheels):
+        expected = f"wheels of a vehicle heavier than air, of more than {least:.3g} kg"
+        yield expected, f"{mass:.3g} kg; write lengths in metres and masses in kilograms"
     for one, other in combinations(draft.wheels, 2):
         near = SAME_PLACE * min(one.radius, other.radius)
         if one.parent == other.parent and math.dist(one.at, other.at) < near:
@@ -626,7 +633,7 @@ def read_toml(file: File) -> Draft:
     if len(draft.wheels) == len(table.wheels):
         part = "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
         for expected, found in misfits(draft):
-            place = "wheels" if " of wheel " in expected else part
+            place = "wheels" if re.match(".* of wheel |wheels ", expected) else part
             faults.append(toml.Fault((place,), expected, found))
     if faults:
         raise file.error(faults, draft)

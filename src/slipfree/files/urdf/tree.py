@@ -273,8 +273,8 @@ class Findings:
         self.guesses: list[Guess] = []
 
     def add(self, line: int, message: str) -> None:
-        """Add an error with its line of the file."""
-        self.errors.append((line, message))
+        """Add an error with its line of the file, unless it is there."""
+        self.errors += [(line, message)] * ((line, message) not in self.errors)
 
     def wrong(self, joint: UrdfJoint, message: str) -> None:
         """Add an error of a joint."""

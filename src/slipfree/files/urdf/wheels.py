@@ -82,8 +82,7 @@ MIN_ROLLERS = 3  # wheels with rollers have more of them
 MIN_ROLLER_ANGLE = 10.0  # least angle of rollers [degrees]
 SAME_ANGLE = 0.95  # least length of the mean of unit vectors at twice the angles of rollers
 SMALL = 1e-3  # smaller vectors between places have no direction [m]
-LARGEST, LARGE = 2.5, 0.5  # radius above that of all tyres, and above those of most robots [m]
-AIR = 1.2  # density [kg/m^3]
+LARGEST = 2.5  # radius above that of all tyres [m]
 SIDES = "left", "right"
 CONTRADICTION = 0.05  # least relative difference of sizes that contradict each other
 
@@ -363,8 +362,6 @@ class Wheels:
         radii = np.array([self._rolling_radius(joint) or 0.0 for joint in self.joints])
         centers = np.array([self._center(joint) for joint in self.joints])
         alike: dict[tuple[str, str, float], list[UrdfJoint]] = {}
-        mass = sum(link.mass or 0.0 for link in self.tree.links.values())
-        is_light = 0 < mass < AIR * float((radii**3).sum())  # about the volume of the wheels
         huge, odd = list[UrdfJoint](), dict[str, Any]()
         for k, joint in enumerate(self.joints):
             shape, role = self._shape(joint), self._roles.wheels.get(joint.name, WheelRole())
@@ -377,7 +374,7 @@ class Wheels:
             factor = unit_factor(radii, centers, axle, k)
             if factor == 1 and not is_guess:
                 odd[joint.name] = {"radius": float(radii[k]) / 2}
-            is_huge = bool(radii[k] > (LARGE if is_light else LARGEST)) and factor in (None, 1)
+            is_huge = bool(radii[k] > LARGEST) and factor in (None, 1)
             huge += [joint] * is_huge
             if is_huge or factor is None or (factor == 1 and not is_guess):
                 continue
@@ -403,9 +400,8 @@ class Wheels:
             radius = self._rolling_radius(huge[0]) or 0.0
             self._findings.ask(
                 huge,
-                f"expected a vehicle heavier than air, with wheels of at most {LARGEST:g} m, found "
-                f"{mass:.3g} kg and a radius of {radius:.3g} m; are all lengths in millimetres, "
-                "centimetres or inches? write them in metres; or, if they are right,",
+                f"expected radii of at most {LARGEST:g} m, found {radius:.3g} m; are all lengths "
+                "in millimetres, centimetres or inches? write them in metres; or, if not,",
                 self._radius_line(huge, radius),
             )
 
