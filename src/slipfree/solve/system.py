@@ -639,7 +639,7 @@ def _equation_blocks(
 
 
 MAX_STEP = 0.25  # largest Newton step of an unknown [typical size]
-MAX_STEPS = 100
+MAX_STEPS = 1000  # a start at a speed of many sizes a second takes hundreds
 MAX_DIVISIONS = 3  # maximum depth of bisections of a stage of the continuation
 CONVERGED_RESIDUAL = 1e-13  # residual without unit
 WEAK_SINGULAR_VALUE = 1e-12  # smaller ones do not take part in a step, relative to the largest
