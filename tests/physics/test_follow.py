@@ -104,10 +104,8 @@ def test_100_m_of_hills_and_the_same_without_the_tilt_term(monkeypatch):
 
 
 def test_friction_begins_at_two_metres_per_second():
-    model = sf.quasi_statics(
-        rocky7(steered="corners"), sf.Analytic(lambda x, y: x * y / 50, mu=0.7)
-    )
-    start = sf.settle(model)
+    ground = sf.Analytic(lambda x, y: x * y / 50, mu=0.7)
+    start = sf.settle(model := sf.quasi_statics(rocky7(steered="corners"), ground))
     law = sf.straight(model, start, speed=2.0)
     assert sf.simulate(model, start, law, np.array([0.0, 0.1])).stop is None
 
