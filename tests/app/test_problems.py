@@ -290,14 +290,14 @@ def test_bad_settings(setting: str, tmp_path: Path) -> None:
 
 def test_settings_that_do_not_fit(tmp_path: Path) -> None:
     assert "percent? write 0.7)" in _faults(tmp_path, VALID, "terrain.friction=70")[0]
-    assert _faults(tmp_path, VALID, "vehicle.r1=-1", "foo.bar=1", "time={duration=1, stp=1}") == [
-        "--set time: time.step: expected a value, found none",
+    settings = "vehicle.r1=-1", "solver.bar=1", "time={step=1, stp=1}"
+    assert _faults(tmp_path, VALID, *settings) == [
+        "--set time: time.duration: expected a value (duration of the motion [s]), found none",
         "--set time: time.stp: did you mean 'step'? expected one of duration, step, found the "
         "unknown key 'stp'",
-        "--set vehicle.r1: expected a number of at least 0, found -1",
-        "--set foo: expected one of verb, title, gravity, time, solver, output, terrain, start, "
-        "frame, vehicle, model, slip, law, inputs, driver, formulation, found the unknown key "
-        "'foo'",
+        "--set solver.bar: expected one of tolerance, compiled, found the unknown key 'bar'",
+        "--set vehicle.r1: expected a number of at least 0 (radius of the wheels' tube, zero for "
+        "discs, and of the circle of tube centres [m]), found -1",
     ]
 
 

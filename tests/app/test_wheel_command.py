@@ -220,7 +220,7 @@ def test_three_tests_without_a_wheel_file(tmp_path):
     assert abs(float(angle["value"]) - radians(28)) < radians(2)
     assert tomllib.loads(written.read_text())["law"]["soil"]["shear_across"] == truth.shear_across
     done = run(table, "--fit", *sets("wheel.radius=0.09"))
-    assert "tests.csv: wheel.width: expected a value, found none" in done.output
+    assert "tests.csv: wheel.width: expected a value (width [m]), found none" in done.output
     done = run(table, "--write", written, *options)
     assert "expected --fit with --write" in done.output
 

@@ -55,6 +55,7 @@ LONG_KEY = re.compile(
 MAX_DEPTH = 100  # accepted levels of nested arrays and tables
 KEY = re.compile(r"""\s*((?:"(?:\\.|[^"\\])*"|'[^']*'|[^"'=\]])+)""")
 MAX_ERRORS = 50  # largest number of errors in a message
+MAX_MEANING = 90  # characters of the meaning of a key in messages
 MAX_SHOWN_NUMBER = 1e300  # larger integers are described by their number of bits
 ALTERNATIVES = "constrained-", "tuple["  # names of types in places of errors
 MAX_VALUE = 1e100  # largest quantity; its squares and cubes are finite
@@ -268,14 +269,24 @@ def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) 
         wanted = record_at(schema, place[:-1], data).model_fields[place[-1]].annotation
         table = isinstance(wanted, type) and issubclass(wanted, BaseModel)
         table |= str(wanted).startswith("dict")
-        return Fault(place, f"a table [{place[-1]}]" if table else "a value", found)
+        meaning = _meaning(schema, place, data)
+        return Fault(place, f"a table [{place[-1]}]" if table else f"a value{meaning}", found)
     words = ERRORS["expected"].get(kind)
     details = error.get("ctx", {})
     expected = words.format(**details) if words else error["msg"]
     found = details.get("found", found)
     if isinstance(error["input"], str) and re.match(r"\s*[-+]?\.?\d", error["input"]):
         found += "; write the number alone, in SI units" if expected.startswith("a number") else ""
+    if re.fullmatch(r"a (whole |finite )?number[^,]*", expected):
+        expected += _meaning(schema, place, data)
     return Fault(place, expected, found)
+
+
+def _meaning(schema: type[BaseModel], place: Place, data: Any) -> str:
+    """Return the meaning of a key in parentheses, if it is known and short."""
+    field = record_at(schema, place[:-1], data).model_fields.get(place[-1])
+    words = (field and field.description) or ""
+    return f" ({words})" if 0 < len(words) <= MAX_MEANING else ""
 
 
 def _unknown(place: Place, known: Sequence[str]) -> Fault:
@@ -295,7 +306,7 @@ def record_at(schema: type[Any], place: Place, data: Any) -> type[Any]:
             is_container = False
         else:
             annotation = model.model_fields[str(part)].annotation
-            model = next(_records(annotation))
+            model = next(_records(annotation), Record)
             is_container = isinstance(data, list) or "dict[" in str(annotation)
         if not is_container:
             model = model.schema_for(data)
