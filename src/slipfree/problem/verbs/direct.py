@@ -244,10 +244,10 @@ class DirectVerb(base.DriveVerb):
         speed, length = abs(driver.speed), followed.length
         on, beyond = speed * run.t <= length, speed * run.t[-1] - length  # of the reference point
         distance = float(followed.distance(run["x"][on], run["y"][on]).max())
-        words = f"{length + min(beyond, 0.0):.4g} of {length:.4g} m followed"
+        whole = f"{length / speed:.4g} s"
+        words = f"{length + min(beyond, 0.0):.4g} of {length:.4g} m followed (the whole in {whole})"
         if beyond > ROUNDING * length:
-            words = f"passed by {beyond:.4g} m, straight on"
-        words = f"end of the path at t = {length / speed:.4g} s, {words}"
+            words = f"end of the path at t = {whole}, passed by {beyond:.4g} m, straight on"
         facts = {"path_distance_largest": Fact(distance, "m"), "path_end": Fact(words)}
         return run.with_facts(facts), NOTHING
 
