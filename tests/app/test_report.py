@@ -238,7 +238,7 @@ def test_a_vehicle_file_by_itself(tmp_path):
     assert notes[0] == "omitted, since they carry no wheel and no mass: lidar_mount"
     assert notes[1].startswith("wheel right_drive: its rate is positive forward, opposite")
     shown = [words for name, words in in_short(found.facts) if name == "vehicle file"]
-    assert shown[-1] == "tree of parts, and all notes in full: slipfree vehicle FILE -v"
+    assert shown[-1].endswith("which --write NAME.toml makes: slipfree vehicle FILE -v")
     assert not set(shown) & set(notes[:2])
     (tmp_path / "p.toml").write_text(
         f"verb = 'direct'\nframe = 'rep103'\nvehicle.file = '{DATA / 'cart.toml'}'\n"

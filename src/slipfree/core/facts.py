@@ -195,6 +195,7 @@ def in_short(facts: Lines) -> Lines:
     """Return facts with guesses and other choices on a vehicle in short, without other notes."""
     notes = [text.partition("; otherwise") for name, text in facts if name == NOTE]
     shown = [t for t, other, _ in notes if other or t.startswith(("guess", "clearance w", "drive"))]
-    shown += ["tree of parts, and all notes in full: slipfree vehicle FILE -v"]
+    file = "lines for a vehicle file, which --write NAME.toml makes"
+    shown += [f"tree of parts, and all notes in full, with {file}: slipfree vehicle FILE -v"]
     others = [each for each in facts if each[0] != NOTE]
     return others + [(NOTE, text) for text in shown * bool(notes)]
