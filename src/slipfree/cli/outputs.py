@@ -16,14 +16,8 @@ import typer
 
 from slipfree.cli import console
 from slipfree.core.errors import DataError, WriteError
+from slipfree.system import regular_files
 from slipfree.system.interrupt import held_interrupt
-from slipfree.system.regular_files import (
-    check_ending,
-    check_name,
-    check_target,
-    replace_file,
-    resolve_links,
-)
 
 if TYPE_CHECKING:
     from slipfree.core.facts import Facts
@@ -126,8 +120,8 @@ def check_outputs(
         if path is not None:
             check_separate(path)
             taken.append(path)
-            check_name(path)
-            check_target(path)
+            regular_files.check_name(path)
+            regular_files.check_target(path)
             above = path.parent
             if not above.is_dir():
                 found, remedy = "none", "create it, or choose another folder"
@@ -137,9 +131,9 @@ def check_outputs(
                 raise DataError(f"{path}: expected {expected}, found {found}; {remedy}")
             _check_writable(path, above)
             if endings:
-                check_ending(path, endings)
+                regular_files.check_ending(path, endings)
     if folder is not None:
-        check_name(folder)
+        regular_files.check_name(folder)
         if not folder.is_dir() and (folder.exists() or folder.suffix.lower() in (".nc", ".csv")):
             proposed = folder.with_suffix("")
             raise DataError(f"{folder}: expected a folder, found a file; use, say, {proposed}")
@@ -164,7 +158,7 @@ def default_table(file: Path, command: str, inputs: Sequence[Path]) -> Path:
 
 def _is_same(path: Path, other: Path) -> bool:
     """Return whether two paths lead to one file, also by links or by names in other case."""
-    if resolve_links(path) == resolve_links(other):
+    if regular_files.resolve_links(path) == regular_files.resolve_links(other):
         return True
     try:
         return path.samefile(other)
@@ -205,13 +199,13 @@ def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any])
 
     for place in (out, folder):
         if place is not None:
-            check_name(place)
+            regular_files.check_name(place)
     where = problem.source.where(OUTPUT) if problem.spec.output else str(problem.source.path)
     remedy = f"choose another name, or give it on the command line: -o {shlex.quote(str(out))}"
-    inside = [resolve_links(each) for each in (Path.cwd(), problem.folder)]
+    inside = [regular_files.resolve_links(each) for each in (Path.cwd(), problem.folder)]
     figures = [] if folder is None else [folder, *folder.glob("*.png")]
     for path in (out, *figures):
-        target = resolve_links(path)
+        target = regular_files.resolve_links(path)
         if not any(target.is_relative_to(each) for each in inside):
             link = "" if target == Path.cwd() / path else f", which is {target}"
             raise DataError(
@@ -279,7 +273,7 @@ def save(path: Path, write: Callable[[Path], object]) -> Path:
 def write_new_file(text: str, out: Path, force: bool) -> None:
     """Write a new file; raise DataError if it exists without ``force``, or cannot be written."""
     check_new(out, force)
-    replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))
+    regular_files.replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))
     console.add_json_file(out)
 
 

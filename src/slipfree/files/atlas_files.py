@@ -18,19 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from slipfree.atlas.atlas import (
-    ELEVATION,
-    LIMIT,
-    REASON,
-    Atlas,
-    Band,
-    Bounds,
-    Verdicts,
-    summary,
-    tile_side,
-    tiles_of,
-    verdicts,
-)
+from slipfree.atlas import atlas
 from slipfree.core.errors import DataError, WriteError
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import FRAME, Column, heading_column
@@ -71,13 +59,15 @@ class Site(NamedTuple):
 
     elevation: Array | Elevation
     friction: float | None = None
-    within: Bounds = EMPTY
+    within: atlas.Bounds = EMPTY
     frame: str = "paper"
     coordinates: tuple[netcdf.MapCoordinate, ...] = ()
     crs: str = ""
     attributes: Mapping[str, str] = EMPTY
 
-    def summary_of(self, poses: Atlas, i: slice, j: slice) -> tuple[dict[str, Band], Verdicts]:
+    def summary_of(
+        self, poses: atlas.Atlas, i: slice, j: slice
+    ) -> tuple[dict[str, atlas.Band], atlas.Verdicts]:
         """Return maps over the headings and verdicts of a part of the atlas.
 
         Parameters
@@ -94,8 +84,8 @@ class Site(NamedTuple):
         Verdicts
             Why the vehicle may not stay, by the conditions ``friction`` and ``within``.
         """
-        decided = verdicts(poses, friction=self.friction, within=self.within)
-        return summary(poses, decided, self.elevation[i, j], self.frame), decided
+        decided = atlas.verdicts(poses, friction=self.friction, within=self.within)
+        return atlas.summary(poses, decided, self.elevation[i, j], self.frame), decided
 
     def on_map(self, axis: str, values: Array) -> Array:
         """Return x or y in the coordinates of the map file.
@@ -118,10 +108,10 @@ class Site(NamedTuple):
         return values
 
 
-Tiles = Iterable[tuple[slice, slice, Atlas]]
+Tiles = Iterable[tuple[slice, slice, atlas.Atlas]]
 
 
-def tiles_in(poses: Atlas) -> Iterator[tuple[slice, slice, Atlas]]:
+def tiles_in(poses: atlas.Atlas) -> Iterator[tuple[slice, slice, atlas.Atlas]]:
     """Yield an atlas in the tiles of `tiles_of`, in the order of files.
 
     Parameters
@@ -134,9 +124,11 @@ def tiles_in(poses: Atlas) -> Iterator[tuple[slice, slice, Atlas]]:
     tuple of slice, slice and Atlas
         Nodes of the tile along x and y, and its poses, whose bands are views.
     """
-    for i, j in tiles_of(poses.x.size, poses.y.size):
-        parts = {name: Band(label, each[:, i, j]) for name, (label, each) in poses.bands.items()}
-        yield i, j, Atlas(poses.x[i], poses.y[j], poses.heading, parts, poses.reasons)
+    for i, j in atlas.tiles_of(poses.x.size, poses.y.size):
+        parts = {
+            name: atlas.Band(label, each[:, i, j]) for name, (label, each) in poses.bands.items()
+        }
+        yield i, j, atlas.Atlas(poses.x[i], poses.y[j], poses.heading, parts, poses.reasons)
 
 
 def write_geotiff(
@@ -168,7 +160,7 @@ def write_geotiff(
             )
     east, north = site.on_map("x", x), site.on_map("y", y)
     d_x, d_y = ((axis[-1] - axis[0]) / (axis.size - 1) for axis in (east, north))
-    side = tile_side(x.size * y.size)
+    side = atlas.tile_side(x.size * y.size)
     profile = {
         "driver": "GTiff",
         "width": x.size,
@@ -199,7 +191,7 @@ def write_geotiff(
                         file.units = tuple(each.unit for each in labels)
                         codes = [f"{n}: {words}" for n, words in enumerate(found.reasons) if n]
                         for k, label in enumerate(labels, 1):
-                            more = [*codes] if label.name == LIMIT else []
+                            more = [*codes] if label.name == atlas.LIMIT else []
                             file.update_tags(k, long_name="; ".join([label.words, *more]))
                         own = {"TIFFTAG_SOFTWARE": f"slipfree {__version__}", FRAME: site.frame}
                         file.update_tags(AREA_OR_POINT="Point", **own, **site.attributes)
@@ -217,7 +209,7 @@ def write_geotiff(
             ) from error
 
 
-def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
+def write_atlas(path: str | os.PathLike[str], poses: atlas.Atlas, site: Site) -> None:
     """Write all bands of an atlas as a netCDF file, which `open_atlas` reads.
 
     Variables have the dimensions ``heading``, ``y`` and ``x``, with metadata of the CF conventions.
@@ -263,19 +255,19 @@ def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
                 netcdf.annotate(variable, netcdf.standard_name(label.name))
             names = " ".join(label.name for label in labels)
             mapped = {"coordinates": names, "grid_mapping": netcdf.CRS}
-        netcdf.annotate(add(ELEVATION, DIMENSIONS[1:], site.elevation[:, :].T, "f8"), mapped)
+        netcdf.annotate(add(atlas.ELEVATION, DIMENSIONS[1:], site.elevation[:, :].T, "f8"), mapped)
         for name, (label, values) in poses.bands.items():
-            kind = "i2" if name == REASON.name else "f4"
+            kind = "i2" if name == atlas.REASON.name else "f4"
             variable = add(label, DIMENSIONS, values.swapaxes(1, 2), kind)
             netcdf.annotate(variable, {**netcdf.standard_name(name), **mapped})
-        reason, codes = file.variables[REASON.name], np.arange(len(poses.reasons), dtype="i2")
+        reason, codes = file.variables[atlas.REASON.name], np.arange(len(poses.reasons), dtype="i2")
         slugs = (re.sub(r"[^\w.+@-]+", "_", words).strip("_") for words in poses.reasons)
         meanings = {"flag_meanings": " ".join(slugs), REASONS: json.dumps(poses.reasons)}
         netcdf.annotate(reason, meanings)
         reason.flag_values = codes
 
 
-def open_atlas(path: str | os.PathLike[str]) -> tuple[Atlas, Site]:
+def open_atlas(path: str | os.PathLike[str]) -> tuple[atlas.Atlas, Site]:
     """Return the atlas in a netCDF file, and the ground on which it was computed.
 
     Raises
@@ -298,26 +290,26 @@ def is_atlas(path: str | os.PathLike[str]) -> bool:
     return netcdf.ATLAS in netcdf.attributes_of(path)
 
 
-def _stored(file: netcdf.NetcdfFile) -> tuple[Atlas, Site]:
+def _stored(file: netcdf.NetcdfFile) -> tuple[atlas.Atlas, Site]:
     """Return the atlas in an open file; raise an error of one of many classes without one."""
     conditions = json.loads(str(file.attributes[netcdf.ATLAS]))
     bands = {}
     for name in conditions["bands"]:
         words = file.variables[name].attributes
         label = Label(name, str(words["units"]), str(words["long_name"]))
-        bands[name] = Band(label, file.values(name).swapaxes(1, 2).astype(np.float32))
+        bands[name] = atlas.Band(label, file.values(name).swapaxes(1, 2).astype(np.float32))
     heading, y, x = (file.values(name).astype(float) for name in DIMENSIONS)
     shape = heading.size, x.size, y.size
     if wrong := [name for name, band in bands.items() if band.values.shape != shape]:
         raise ValueError(f"expected the shape {shape} of the band {wrong[0]!r}")
     if not all(np.isfinite(axis).all() and (np.diff(axis) > 0).all() for axis in (heading, y, x)):
         raise ValueError("expected ascending headings and places")
-    reasons = json.loads(str(file.variables[REASON.name].attributes[REASONS]))
+    reasons = json.loads(str(file.variables[atlas.REASON.name].attributes[REASONS]))
     frame = str(file.attributes[FRAME])
-    if not np.isin(bands[REASON.name].values, np.arange(len(reasons))).all():
-        raise ValueError(f"expected numbers of {len(reasons)} reasons in {REASON.name!r}")
+    if not np.isin(bands[atlas.REASON.name].values, np.arange(len(reasons))).all():
+        raise ValueError(f"expected numbers of {len(reasons)} reasons in {atlas.REASON.name!r}")
     site = Site(
-        file.values(ELEVATION.name).T.astype(float),
+        file.values(atlas.ELEVATION.name).T.astype(float),
         None if conditions["friction"] is None else float(conditions["friction"]),
         {name: (float(low), float(high)) for name, (low, high) in conditions["within"].items()},
         frame,
@@ -330,4 +322,4 @@ def _stored(file: netcdf.NetcdfFile) -> tuple[Atlas, Site]:
         },
     )
     heading = heading_column(heading, "paper", own=frame).values
-    return Atlas(x, y, heading, bands, tuple(map(str, reasons))), site
+    return atlas.Atlas(x, y, heading, bands, tuple(map(str, reasons))), site

@@ -28,6 +28,7 @@ from slipfree.core.trajectory import (
     Trajectory,
     path_length,
 )
+from slipfree.plan import problem
 from slipfree.plan.constraints import with_first_limits
 from slipfree.plan.explanation import explanation, more_time
 from slipfree.plan.guess import initial_guess
@@ -40,15 +41,6 @@ from slipfree.plan.polynomial_motion import (
     motion_of,
     sample_plan,
     save_plan,
-)
-from slipfree.plan.problem import (
-    Conditions,
-    Range,
-    check_task,
-    duration_of,
-    free_durations,
-    near_conditions,
-    task_of,
 )
 from slipfree.plan.search import (
     LocalOptimum,
@@ -191,14 +183,14 @@ def plan(
     start: Trajectory,
     guess: Trajectory | Sequence[Trajectory] | None = None,
     *,
-    goal: Conditions,
+    goal: problem.Conditions,
     costs: Mapping[str, NonNegative] | Sequence[Cost],
-    duration: float | Range | None = None,
+    duration: float | problem.Range | None = None,
     smooth: NonNegative = 0.0,
-    limits: Conditions = (),
-    way_points: Mapping[float, Conditions] | None = None,
-    inputs: Mapping[str, Range] | None = None,
-    accelerations: Mapping[str, Range] | None = None,
+    limits: problem.Conditions = (),
+    way_points: Mapping[float, problem.Conditions] | None = None,
+    inputs: Mapping[str, problem.Range] | None = None,
+    accelerations: Mapping[str, problem.Range] | None = None,
     cost_limits: Mapping[str, Positive] | None = None,
     initial_inputs: Mapping[str, float] | None = None,
     mesh: Mesh = Mesh(),
@@ -298,7 +290,7 @@ def plan(
     >>> found.success
     True
     """
-    task = task_of(
+    task = problem.task_of(
         model,
         start,
         goal=goal,
@@ -335,7 +327,7 @@ def solve_task(
     planned motion.
     """
     clock, begun = time.process_time(), time.monotonic()
-    check_task(task, start)
+    problem.check_task(task, start)
     model, former, motions = task.dae, search.resume, list(guesses)
     task = replace(with_first_limits(task), deadline=begun + SEARCH_SHARE * search.seconds)
     nominal = [float(motion.t[-1] - motion.t[0]) for motion in motions]
@@ -355,14 +347,16 @@ def solve_task(
             lambda part: model.rows("x", motions[0], int(np.abs(t - part * t[-1]).argmin()))
         )
         length = path_length(motions[0]) if {"x", "y"} <= motions[0].columns.keys() else 0.0
-        default = free_durations(nominal)
+        default = problem.free_durations(nominal)
         intervals = max(MIN_INTERVALS, math.ceil(length / (INTERVAL_SIZES * model.size)))
     if not task.duration[1] < math.inf:
-        task = replace(task, duration=duration_of(default))
+        task = replace(task, duration=problem.duration_of(default))
     fractions = [condition.fraction for condition in task.conditions]
     ends = np.union1d(np.linspace(0, 1, (mesh.intervals or intervals) + 1), fractions)
     first = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], mesh.degree)
-    task = replace(task, conditions=near_conditions(model, task.conditions, task.periodic, near))
+    task = replace(
+        task, conditions=problem.near_conditions(model, task.conditions, task.periodic, near)
+    )
     if former is None:
         named = [(f"guess {number}", each) for number, each in enumerate(motions, 1)]
         missing = max(search.starts - len(motions), 0)

@@ -15,20 +15,9 @@ from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.records import Array, with_overview
 from slipfree.core.trajectory import Trajectory
+from slipfree.plan import ipopt
 from slipfree.plan.constraints import LIMIT_CLEARANCE, VIOLATION_TOLERANCE, with_clearance
 from slipfree.plan.explanation import Relaxation, relax
-from slipfree.plan.ipopt import (
-    ENDED_STATUSES,
-    ITERATIONS_STATUS,
-    MAX_FIRST_ITERATIONS,
-    MAX_ITERATIONS,
-    SIMULATED_STATUS,
-    TIME_STATUS,
-    Iterate,
-    NlpSolution,
-    largest_violation,
-    solve_program,
-)
 from slipfree.plan.polynomial_motion import (
     SavedPlan,
     guess_unknowns,
@@ -65,7 +54,7 @@ FUTILE_GROWTH = 4.0  # ratio of intervals after which an unchanged error has ano
 MAX_REFINED_ITERATIONS = 100  # of a search on a refined mesh, which starts near its solution
 MAX_CORRECTIONS = 5  # largest number of times that a goal or a mesh is adapted to a simulation
 MIN_IMPROVEMENT = 0.8  # ratio of errors on a finer and a coarser mesh for a further refinement
-PlanProgress = Callable[[str, Iterate], bool]
+PlanProgress = Callable[[str, ipopt.Iterate], bool]
 
 
 @checked
@@ -218,7 +207,7 @@ class SearchState(NamedTuple):
     """Last solved program of a search, its solution and initial guess, and all stages so far."""
 
     program: Program
-    found: NlpSolution
+    found: ipopt.NlpSolution
     first: Array
     stages: tuple[SolvedStage, ...]
     run: Trajectory | None = None
@@ -252,16 +241,16 @@ def solve_guesses(
         program, *others = programs
         search = _solve_in_stages(program, guess_unknowns(program, guess), of, progress)
         for program in others:
-            if search.found.success and search.found.status != TIME_STATUS:
+            if search.found.success and search.found.status != ipopt.TIME_STATUS:
                 words = f"{of}{program.mesh.ends.size - 1} intervals"
                 finer = _solve_anew(search, program, words, progress, near=True)
-                if not (finer.found.success or finer.found.status in ENDED_STATUSES):
+                if not (finer.found.success or finer.found.status in ipopt.ENDED_STATUSES):
                     before, first = finer.stages, guess_unknowns(program, guess)
                     finer = _solve_in_stages(program, first, f"{words}, ", progress)
                     finer = finer._replace(stages=before + finer.stages)
                 search = finer
         searches.append(search._replace(name=name, number=number))
-        if search.found.status in ENDED_STATUSES:
+        if search.found.status in ipopt.ENDED_STATUSES:
             break
     return sorted(searches, key=_rank)
 
@@ -304,7 +293,7 @@ def best_verified(
         refined = _refine(_add_limits(search, progress), verify, progress)
         last, verification = _simulated_plan(*refined, verify, accuracy, progress)
         tried.append((last, verification))
-        ended = last.stages[-1].status in ENDED_STATUSES
+        ended = last.stages[-1].status in ipopt.ENDED_STATUSES
         if verification.accurate or not last.found.success or ended:
             break
     best = tried[-1] if tried[-1][1].accurate and tried[-1][0].found.success else tried[0]
@@ -341,7 +330,11 @@ def _local_optimum(search: SearchState, accurate: bool | None) -> LocalOptimum:
 def _rank(search: SearchState) -> tuple[bool, float]:
     """Return the sort key of a search: solved programs by cost, then others by violation."""
     solution = search.found
-    size = solution.cost if solution.success else largest_violation(search.program, solution.rows)
+    size = (
+        solution.cost
+        if solution.success
+        else ipopt.largest_violation(search.program, solution.rows)
+    )
     return not solution.success, size
 
 
@@ -351,18 +344,18 @@ def _solve_in_stages(
     """Solve the program; if slip is a cost, start from the solution without this cost."""
     slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
     words = f"{of}without slip cost" if slips else f"{of}all costs"
-    part, most = (0.0, MAX_FIRST_ITERATIONS) if slips else (1.0, MAX_ITERATIONS)
+    part, most = (0.0, ipopt.MAX_FIRST_ITERATIONS) if slips else (1.0, ipopt.MAX_ITERATIONS)
     search = _solve_stage(program, first, words, part, progress, None, most)
     best = search.found
     # a motion that meets all constraints is enough to start from
-    is_met = largest_violation(program, best.rows) <= VIOLATION_TOLERANCE
-    if slips and (best.success or (is_met and best.status == ITERATIONS_STATUS)):
+    is_met = ipopt.largest_violation(program, best.rows) <= VIOLATION_TOLERANCE
+    if slips and (best.success or (is_met and best.status == ipopt.ITERATIONS_STATUS)):
         more = _solve_stage(program, best.unknowns, f"{of}with slip cost", 1.0, progress, best)
         stages, status = search.stages + more.stages, more.found.status
-        worst = largest_violation(program, more.found.rows)
+        worst = ipopt.largest_violation(program, more.found.rows)
         if not more.found.success and worst > VIOLATION_TOLERANCE:
             # The previous plan meets all constraints, although its slip is not minimal.
-            best = best._replace(success=status == TIME_STATUS, status=status)
+            best = best._replace(success=status == ipopt.TIME_STATUS, status=status)
             more = search._replace(found=best)
         search = more._replace(stages=stages)
     return search._replace(first=first)
@@ -400,8 +393,8 @@ def _solve_stage(
     words: str,
     part: float,
     progress: PlanProgress | None,
-    warm: NlpSolution | None = None,
-    most: int = MAX_ITERATIONS,
+    warm: ipopt.NlpSolution | None = None,
+    most: int = ipopt.MAX_ITERATIONS,
 ) -> SearchState:
     """Return the state of the search after a program is solved from the unknowns ``first``.
 
@@ -410,7 +403,7 @@ def _solve_stage(
     """
     on_iterate = None if progress is None else lambda iterate: progress(words, iterate)
     weights = cost_weights(program, part)
-    solution = solve_program(
+    solution = ipopt.solve_program(
         program, weights, first, warm=warm, iterations=most, on_iterate=on_iterate
     )
     stage = SolvedStage(words, *attrgetter("iterations", "status", "seconds", "cost")(solution))
@@ -443,7 +436,7 @@ def _add_limits(search: SearchState, progress: PlanProgress | None) -> SearchSta
         fuller = replace(program.task, limits=(*program.task.limits, *missed))
         fuller_program = transcribe(fuller, program.mesh, program.options)
         search = _solve_anew(search, fuller_program, words, progress)
-        if not (search.found.success or search.found.status in ENDED_STATUSES):
+        if not (search.found.success or search.found.status in ipopt.ENDED_STATUSES):
             search = solve_relaxed(search, program.task.deadline, progress)
     return search
 
@@ -455,7 +448,7 @@ def _solve_anew(
     progress: PlanProgress | None,
     *,
     near: bool = False,
-    most: int = MAX_ITERATIONS,
+    most: int = ipopt.MAX_ITERATIONS,
 ) -> SearchState:
     """Solve another program from a solution, which is ``near`` if the whole mesh is finer."""
     first = transfer_motion(motion_of(search.program, search.found.unknowns), program)
@@ -464,10 +457,10 @@ def _solve_anew(
     return more._replace(stages=search.stages + more.stages, name=search.name, number=search.number)
 
 
-def _warm_guess(program: Program, first: Array) -> NlpSolution:
+def _warm_guess(program: Program, first: Array) -> ipopt.NlpSolution:
     """Return a solution with the given unknowns and zero multipliers, for a warm start."""
     rows, bounds = np.zeros(program.g_lower.size), np.zeros(first.size)
-    return NlpSolution(first, rows, np.nan, rows, bounds, "", True, 0, {})
+    return ipopt.NlpSolution(first, rows, np.nan, rows, bounds, "", True, 0, {})
 
 
 def _violated_limits(task: PlanTask, run: Trajectory, beyond: float) -> list[Limit]:
@@ -542,7 +535,7 @@ def _simulated_plan(
     """
     asked, now, shown = search.program.task, search, verification
     for _ in range(MAX_CORRECTIONS):
-        ended = now.stages[-1].status in ENDED_STATUSES
+        ended = now.stages[-1].status in ipopt.ENDED_STATUSES
         if shown.accurate or ended or not (now.found.success and shown.misses):
             return search._replace(stages=now.stages), verification
         if all(np.abs(miss).max(initial=0.0) <= accuracy for miss in shown.misses):
@@ -568,12 +561,12 @@ def _simulated_plan(
         program = transcribe(asked, mesh, now.program.options)
         first = completed(program, guess_unknowns(program, run))
         cost = float(program.gradient(first / program.scale, cost_weights(program, 1.0))[0])
-        found = _warm_guess(program, first)._replace(cost=cost, status=SIMULATED_STATUS)
+        found = _warm_guess(program, first)._replace(cost=cost, status=ipopt.SIMULATED_STATUS)
         now = now._replace(program=program, found=found, run=None)
         shown = verify(now)
         if shown.accurate:
             no_time = {"total": 0.0, "functions": 0.0}
-            stage = SolvedStage("simulation", 0, SIMULATED_STATUS, no_time, cost)
+            stage = SolvedStage("simulation", 0, ipopt.SIMULATED_STATUS, no_time, cost)
             return now._replace(stages=(*now.stages, stage)), shown
     return search._replace(stages=now.stages), verification
 

@@ -12,16 +12,7 @@ import numpy as np
 from slipfree.core.dae import Dae, Limit, PiecewiseLinear
 from slipfree.core.records import Array, Mask, Record, leaves
 from slipfree.core.trajectory import Outcome, SolverError, Trajectory
-from slipfree.plan.constraints import (
-    LIMIT,
-    VIOLATION_TOLERANCE,
-    constraint,
-    number,
-    role_of,
-    shift_of,
-    subject,
-    with_clearance,
-)
+from slipfree.plan import constraints
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
 from slipfree.solve.sampling import same_turn
@@ -107,7 +98,7 @@ def verify_plan(
         if abs(fractions[k] - fraction) <= 1e-6:  # the simulation reaches it
             own = _excess(task, asked, replay.part(one), x[:, one])
         misses.append(own[:, 0])
-        judged.append((f" at the {role_of(fraction)}", asked, np.abs(own)))
+        judged.append((f" at the {constraints.role_of(fraction)}", asked, np.abs(own)))
     units, violation = {label.full: label.unit for label in states}, dict[str, float]()
     for suffix, asked, own in judged:
         for limit, most in zip(asked, own.max(axis=1).tolist(), strict=True):
@@ -132,12 +123,12 @@ def verify_plan(
             for k, limit in enumerate(task.limits):
                 if limit.label.full == replay.stop.name:
                     between = excess_between(program, motion, limit)
-                    worse |= between > VIOLATION_TOLERANCE
+                    worse |= between > constraints.VIOLATION_TOLERANCE
                     worse[where[-1]] = True
                     # a joint that stays near its stop exceeds it elsewhere on every finer mesh, and
                     # the simulation may differ from the plan by the accuracy
                     slack = max(between.max(), tolerated_excess([limit], accuracy)[0])
-                    further[k] = with_clearance(limit, float(slack))
+                    further[k] = constraints.with_clearance(limit, float(slack))
         met = not worse.any() and all(own.max(initial=0) <= accuracy for *_, own in judged[1:])
     differences = np.abs(gaps).max(axis=1).tolist()
     return Verification(
@@ -197,8 +188,8 @@ def _excess(task: PlanTask, limits: Sequence[Limit], run: Trajectory, x: Array) 
     values = limit_values(dae, limits, (run.t, x, z, u))
     for row, limit in zip(values, limits, strict=True):
         if not is_same and ca.depends_on(limit.expression, dae.columns()[1]):
-            label = constraint(task, limit, "").label
-            shift = shift_of(task, limit.expression) - dae.reported.get(label.full, 0.0)
+            label = constraints.constraint(task, limit, "").label
+            shift = constraints.shift_of(task, limit.expression) - dae.reported.get(label.full, 0.0)
             row[:] = run.of(label) - shift if label.name in run.columns else np.nan
     return np.nan_to_num(_beyond(limits, values))
 
@@ -225,9 +216,10 @@ def obstacle_words(task: PlanTask, run: Trajectory, accuracy: float) -> str:
     i, k = np.unravel_index(np.argmax(ratio), ratio.shape)
     if not ratio[i, k] > 1:
         return ""
-    label = constraint(task, task.limits[i], LIMIT).label
+    label = constraints.constraint(task, task.limits[i], constraints.LIMIT).label
     at = [f"t = {run.t[k]:.4g} s", *(f"{axis} = {run[axis][k]:.2f} m" for axis in "xy")]
-    return f"{subject(label, LIMIT)} by {number(label, over[i, k])} at {', '.join(at)}"
+    by = constraints.number(label, over[i, k])
+    return f"{constraints.subject(label, constraints.LIMIT)} by {by} at {', '.join(at)}"
 
 
 def limit_values(

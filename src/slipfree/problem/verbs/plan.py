@@ -32,17 +32,9 @@ from slipfree.geometry.path import Path
 from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import direct_kinematics, quasi_statics
+from slipfree.plan import ipopt
 from slipfree.plan.constraints import COST, DURATION, missed_words
 from slipfree.plan.guess import settled_start
-from slipfree.plan.ipopt import (
-    NOT_LEAST,
-    SOLVED_STATUS,
-    STOPPED_STATUS,
-    TIME_STATUS,
-    Iterate,
-    seconds_left,
-    solve_nlp,
-)
 from slipfree.plan.optimality import VALUE, Optimality, price_rows, prices_words
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays, motion_of
@@ -80,7 +72,7 @@ def facts_of(plan: Plan | LongPlan, setup: plan_setup.Planning) -> dict[str, Fac
     """Return the facts of a plan: iterations, times, costs, differences and violations."""
     times = [stage.seconds for stage in plan.stages]
     ended = {stage.status for stage in plan.stages} if plan.accurate else set[str]()
-    reasons = [why for status, why in NOT_LEAST.items() if status in ended]
+    reasons = [why for status, why in ipopt.NOT_LEAST.items() if status in ended]
     differences = dict[str, Fact]()
     for name, size in plan.difference.items():
         key = DIFFERENCE + name.partition("[")[0]  # the largest of the wheels
@@ -330,7 +322,7 @@ def plan_climb(
             halt = leg is not parts[-1]
             plan = contact_path.climb(climber, section, leg, cost, mu=mu, halt=halt, **options)
             try:
-                solution = solve_nlp(plan.nlp)
+                solution = ipopt.solve_nlp(plan.nlp)
             except trajectory.SolverError as error:
                 raise trajectory.SolverError(f"plan, {_leg(k, leg)}: {error}") from error
             costs = np.array([solution.iterations, *solution.seconds.values()])
@@ -492,7 +484,7 @@ class PlanVerb(base.DriveVerb):
                     resume=resume,
                     progress=progress,
                     keep=keep,
-                    seconds=seconds_left(setup.deadline),
+                    seconds=ipopt.seconds_left(setup.deadline),
                 )
             run, arrays = with_plan(long, long.replay)
             checks = {"by_friction": lambda run: run.with_facts(_by_friction(setup, long))}
@@ -610,9 +602,10 @@ def _inaccurate(setup: plan_setup.Planning, plan: Plan | LongPlan) -> trajectory
     worst = missed_words(missed, plan.units) or "a narrow limit"
     last = plan.stages[-1]
     why = {
-        SOLVED_STATUS: "its refined meshes did not suffice; raise plan.intervals or plan.accuracy",
-        STOPPED_STATUS: "the refinement of its mesh was stopped",
-        TIME_STATUS: "the time limit ended the refinement of its mesh; raise plan.seconds",
+        ipopt.SOLVED_STATUS: "its refined meshes did not suffice; raise plan.intervals or "
+        "plan.accuracy",
+        ipopt.STOPPED_STATUS: "the refinement of its mesh was stopped",
+        ipopt.TIME_STATUS: "the time limit ended the refinement of its mesh; raise plan.seconds",
     }.get(
         last.status,
         f"with {last.words} {ipopt_words(last.status)}; change the initial guess or the limits",
@@ -622,7 +615,7 @@ def _inaccurate(setup: plan_setup.Planning, plan: Plan | LongPlan) -> trajectory
         f"{spec.plan.accuracy:g}: {why}"
         + (f"; it exceeds the limit of {obstacle}" if obstacle else "")
     )
-    outcome = Outcome.INTERRUPTED if last.status == STOPPED_STATUS else Outcome.INACCURATE
+    outcome = Outcome.INTERRUPTED if last.status == ipopt.STOPPED_STATUS else Outcome.INACCURATE
     return trajectory.Stop(trajectory.PLAN_ACCURACY, float(plan.replay.t[-1]), words, outcome)
 
 
@@ -635,14 +628,14 @@ def _separation_words(setup: plan_setup.Planning) -> str:
 
 def _iterate_reporter(
     watch: base.Watch, setup: plan_setup.Planning
-) -> Callable[[str, Iterate], bool]:
+) -> Callable[[str, ipopt.Iterate], bool]:
     """Return a callback that reports each iterate, and returns False after Ctrl-C to stop.
 
     Ctrl-C before the first iterate raises KeyboardInterrupt, since there is no plan to save.
     """
     begun, start = False, time.monotonic()
 
-    def progress(words: str, iterate: Iterate) -> bool:
+    def progress(words: str, iterate: ipopt.Iterate) -> bool:
         """Show an iteration; return whether the search may go on.
 
         Ctrl-C ends the search after the first iteration, so that it has a result to keep.
