@@ -53,7 +53,7 @@ class Outcome(Enum):
     NO_EQUILIBRIUM = "no equilibrium: the forces that friction allows cannot continue the motion"
     INFEASIBLE = "infeasible: the search ended without a plan that meets all constraints"
     INACCURATE = "inaccurate: a simulated plan or a predicted log deviates by more than allowed"
-    TIME_LIMIT = "time limit reached: the search ended without a plan; the best iterate is kept"
+    TIME_LIMIT = "time limit reached: the search ended without a verified plan; the best is kept"
     INTERRUPTED = "interrupted: Ctrl-C or a progress callable ended the run; its samples are kept"
     SOLVER_FAILURE = "solver failure: the solver found no solution; earlier samples are kept"
 

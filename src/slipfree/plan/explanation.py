@@ -296,9 +296,11 @@ def explanation(
         )
     for each in relaxation.relaxed if relaxation.success else ():
         given, needed = (number(each.label, value) for value in (each.bound, each.value))
-        lines.append(
-            f"  {subject(each.label, each.role)}: {needed} instead of {given} at {each.place}"
-        )
+        change = f"{needed} instead of {given}"
+        if needed == given:  # as far as their digits tell
+            side = "above" if each.value > each.bound else "below"
+            change = f"{number(each.label, abs(each.value - each.bound))} {side} {given}"
+        lines.append(f"  {subject(each.label, each.role)}: {change} at {each.place}")
     if relaxation.success and relaxation.opposing:
         lines.append(
             "these bounds were not relaxed; relaxing one of them reduces the relaxations above:"

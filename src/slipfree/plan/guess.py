@@ -37,11 +37,12 @@ from slipfree.models.rigid_dynamics import dynamic_guess
 from slipfree.plan.constraints import GOAL, role_of
 from slipfree.plan.problem import Range, spelled
 from slipfree.plan.transcription import SAMPLE_STEP, PlanTask
-from slipfree.plan.verification import GUESS_TOLERANCE, simulate_to_failure
+from slipfree.plan.verification import GUESS_TOLERANCE
 from slipfree.routing.search import path_cost, route, routes
 from slipfree.routing.traversability import Traversability, traversability
 from slipfree.solve.sampling import input_samples
 from slipfree.solve.settle import settle
+from slipfree.solve.simulate import simulate_to_failure
 from slipfree.solve.system import SolverOptions
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle

@@ -371,9 +371,8 @@ def solve_task(
             search.keep(_unverified(state))
         if state.found.success and not verified:
             return Verification(sample_plan(state.program, state.found.unknowns), {}, {}, {})
-        return verify_plan(
-            state.program, state.found.unknowns, start, accuracy=mesh.accuracy, step=mesh.step
-        )
+        how = {"accuracy": mesh.accuracy, "step": mesh.step, "deadline": begun + search.seconds}
+        return verify_plan(state.program, state.found.unknowns, start, **how)
 
     if not (searches[0].found.success or searches[0].found.status == STOPPED_STATUS):
         searches[0] = solve_relaxed(searches[0], begun + search.seconds, search.progress)

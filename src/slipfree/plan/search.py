@@ -29,13 +29,8 @@ from slipfree.plan.polynomial_motion import (
     transfer_motion,
 )
 from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, completed, transcribe
-from slipfree.plan.verification import (
-    GUESS_TOLERANCE,
-    Verification,
-    largest_error,
-    refine_mesh,
-    simulate_to_failure,
-)
+from slipfree.plan.verification import GUESS_TOLERANCE, Verification, largest_error, refine_mesh
+from slipfree.solve.simulate import simulate_to_failure
 from slipfree.solve.system import SolverOptions
 
 PERTURBATION = 0.3  # standard deviation of a perturbation, relative to the rms of the input
@@ -77,9 +72,10 @@ class Search:
         differ. If it starts in another state, only its part after the nearest state is used.
     seconds : float
         Time limit of the whole search, by default none. A fifth of it is for the verification or
-        the explanation of the result. When it passes, the plan is the cheapest motion found that
-        meets all constraints, and is verified as always; its cost may not be minimal. If there is
-        none, the plan is the iterate with the smallest violation. [s]
+        the explanation of the result. When the search has used its share, the plan is the cheapest
+        motion found that meets all constraints; its cost may not be minimal. If there is none, the
+        plan is the iterate with the smallest violation. The limit also ends the simulation that
+        verifies the plan, which is then not verified. [s]
     progress : callable or None
         Function called with a description of the program and every iterate. If it returns False,
         the search ends, and the plan is the iterate with the smallest violation.

@@ -26,8 +26,7 @@ from slipfree.core.trajectory import SolverError, Trajectory, joined
 from slipfree.plan.mpc import Cycle, Horizon, check_duration, cycle_inputs, first_cycle, replan
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.sampling import SampledPlan, SamplingTask, sample_plan
-from slipfree.plan.verification import simulate_to_failure
-from slipfree.solve.simulate import interrupted_at
+from slipfree.solve.simulate import interrupted_at, simulate_to_failure
 from slipfree.solve.system import SolverOptions
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import interrupt_requested

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
@@ -10,13 +12,19 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.dae import Dae, Limit, PiecewiseLinear
+from slipfree.core.errors import SlipfreeError
 from slipfree.core.records import Array, Mask, Record, leaves
-from slipfree.core.trajectory import Outcome, SolverError, Trajectory
+from slipfree.core.trajectory import PLAN_UNVERIFIED, Outcome, Stop, Trajectory
 from slipfree.plan import constraints
-from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
+from slipfree.plan.polynomial_motion import (
+    FRACTION_TOLERANCE,
+    PolynomialMotion,
+    motion_of,
+    sample_plan,
+)
 from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
 from slipfree.solve.sampling import same_turn
-from slipfree.solve.simulate import simulate
+from slipfree.solve.simulate import simulate_to_failure
 from slipfree.solve.system import MIN_TOLERANCE, SolverOptions
 
 Key = TypeVar("Key")
@@ -26,6 +34,10 @@ REFINED_FRACTION = 0.25  # neighbours with this fraction of a violation are also
 VERIFICATION_TOLERANCE = 0.003  # of the states in the simulation, relative to the options
 POSITION_UNITS = ("m", "rad", "1")  # of states that a simulation with another model must reproduce
 MIN_INTERVAL_SAMPLES = 8  # samples per interval, denser near its ends
+
+
+class TimeLimitError(SlipfreeError):
+    """End of a simulation by the time limit of its plan."""
 
 
 class Verification(NamedTuple):
@@ -66,13 +78,20 @@ class Verification(NamedTuple):
 
 
 def verify_plan(
-    program: Program, unknowns: Array, start: Trajectory, *, accuracy: float, step: float
+    program: Program,
+    unknowns: Array,
+    start: Trajectory,
+    *,
+    accuracy: float,
+    step: float,
+    deadline: float = math.inf,
 ) -> Verification:
     """Simulate the inputs of a plan and compare the simulation with the plan.
 
     ``accuracy`` is the largest admissible difference and violation, each in its unit; for a limit
     at most 1 % of its range (`tolerated_excess`). If another model simulates the plan
-    (``dae.replay``), only positions and angles must agree.
+    (``dae.replay``), only positions and angles must agree. If the simulation does not end before
+    ``deadline``, a value of `time.monotonic`, ``replay`` is the planned motion, with a stop.
     """
     task, motion = program.task, motion_of(program, unknowns)
     dae, other, further = task.dae, task.dae.replay, [*task.limits]
@@ -83,7 +102,13 @@ def verify_plan(
     # can end the first steps of wheels that press into the ground, but not at the given tolerance.
     for share in (VERIFICATION_TOLERANCE, 1.0):
         how = replace(options, tolerance=max(options.tolerance * share, MIN_TOLERANCE))
-        replay = simulate_plan(model, start, motion, step=step, options=how, states_only=share < 1)
+        given: dict[str, Any] = {"step": step, "states_only": share < 1, "deadline": deadline}
+        try:
+            replay = simulate_plan(model, start, motion, options=how, **given)
+        except TimeLimitError as error:
+            run = sample_plan(program, unknowns)
+            stop = Stop(PLAN_UNVERIFIED, float(run.t[-1]), str(error), Outcome.TIME_LIMIT)
+            return Verification(replace(run, stop=stop), {}, {}, {})
         if replay.outcome is not Outcome.SOLVER_FAILURE:
             break
     fractions = np.minimum(replay.t / motion.duration, 1.0)
@@ -288,38 +313,26 @@ def simulate_plan(
     step: float,
     options: SolverOptions = SolverOptions(),
     states_only: bool = False,
+    deadline: float = math.inf,
 ) -> Trajectory:
     """Simulate a model under the inputs of a plan, to its end or to the first failure.
 
-    ``step`` is the largest time between samples [s].
+    ``step`` is the largest time between samples [s]. TimeLimitError is raised at ``deadline``, a
+    value of `time.monotonic`.
     """
+
+    def check_time(reached: float) -> None:
+        if time.monotonic() > deadline:
+            raise TimeLimitError(
+                f"the time limit ended the simulation of the plan at t = {reached:.4g} s of "
+                f"{motion.duration:.4g} s; raise plan.seconds"
+            )
+
     # Limits are often violated just after kinks of the inputs: Chebyshev points are dense there.
     lengths = np.diff(motion.ends)
     counts = np.maximum(np.ceil(np.pi / 2 * lengths / step - 1e-9), MIN_INTERVAL_SAMPLES)
     inside = [(1 - np.cos(np.pi * np.arange(n) / n)) / 2 for n in counts]
     times = [a + h * part for a, h, part in zip(motion.ends[:-1], lengths, inside, strict=True)]
     t = np.append(np.concatenate(times), motion.ends[-1])
-    inputs = inputs_along(dae, motion, t)
-    return simulate_to_failure(
-        dae, start, inputs, t, options, sampled_work=True, states_only=states_only
-    )
-
-
-def simulate_to_failure(
-    dae: Dae,
-    start: Trajectory,
-    inputs: Record,
-    t: Array,
-    options: SolverOptions,
-    **how: Any,
-) -> Trajectory:
-    """Simulate to the last time or to the first failure, which has samples before it.
-
-    ``how`` are further options of `simulate`.
-    """
-    try:
-        return simulate(dae, start, inputs, t, options=options, **how)
-    except SolverError as error:
-        if error.trajectory is None:
-            raise
-        return error.trajectory
+    how = {"sampled_work": True, "states_only": states_only, "progress": check_time}
+    return simulate_to_failure(dae, start, inputs_along(dae, motion, t), t, options, **how)

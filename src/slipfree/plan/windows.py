@@ -36,7 +36,8 @@ from slipfree.plan.polynomial_motion import (
 )
 from slipfree.plan.search import PlanProgress, Search, SolvedStage, cost_terms
 from slipfree.plan.transcription import Mesh, PlanTask, TimedCondition, transcribe
-from slipfree.plan.verification import GUESS_TOLERANCE, largest, simulate_plan, simulate_to_failure
+from slipfree.plan.verification import GUESS_TOLERANCE, largest, simulate_plan
+from slipfree.solve.simulate import simulate_to_failure
 from slipfree.solve.system import SolverOptions
 from slipfree.system.forks import computing
 

@@ -531,6 +531,26 @@ def simulate(
         return replace(run, stop=interrupted_at(t_end)) if is_ended else run
 
 
+def simulate_to_failure(
+    dae: Dae,
+    start: Trajectory,
+    inputs: Record,
+    t: Array,
+    options: SolverOptions,
+    **how: Any,
+) -> Trajectory:
+    """Simulate to the last time or to the first failure, which has samples before it.
+
+    ``how`` are further options of `simulate`.
+    """
+    try:
+        return simulate(dae, start, inputs, t, options=options, **how)
+    except SolverError as error:
+        if error.trajectory is None:
+            raise
+        return error.trajectory
+
+
 def check_times(t: Array) -> Array:
     """Return the times as an array; raise ModelError unless they are finite and increase."""
     t = np.asarray(t, dtype=float)

@@ -22,14 +22,7 @@ from slipfree.core.errors import DataError
 from slipfree.core.facts import Fact, Facts, Lines, Row, lines, named_rows, rows
 from slipfree.core.quantities import QUANTITIES, extremes, joint_angles
 from slipfree.core.records import Array, HtmlRepr, leaves
-from slipfree.core.trajectory import (
-    Outcome,
-    SolverError,
-    Stop,
-    Trajectory,
-    outcome_words,
-    path_length,
-)
+from slipfree.core.trajectory import Outcome, Stop, Trajectory, outcome_words, path_length
 from slipfree.files.netcdf import MAP_TRANSFORM, NOTHING
 from slipfree.files.urdf.links import largest_rates
 from slipfree.laws.soil import Soil
@@ -50,7 +43,7 @@ from slipfree.problem.build_vehicle import vehicle_file, visual_meshes
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys, Modelled, MotionKeys
 from slipfree.solve.settle import stable_poses
-from slipfree.solve.simulate import simulate
+from slipfree.solve.simulate import simulate_to_failure
 from slipfree.solve.system import SolverOptions
 from slipfree.system.interrupt import check_interrupt
 
@@ -142,12 +135,7 @@ def integrate(setup: Any, options: SolverOptions, watch: Watch) -> Trajectory:
         return True
 
     problem = setup.dae, setup.start, setup.inputs, setup.t
-    try:
-        return simulate(*problem, options=options, progress=progress, sampled=bool(setup.every))
-    except SolverError as error:
-        if error.trajectory is None:
-            raise
-        return error.trajectory
+    return simulate_to_failure(*problem, options, progress=progress, sampled=bool(setup.every))
 
 
 def with_diagnostics(

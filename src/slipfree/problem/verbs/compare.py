@@ -12,12 +12,12 @@ from slipfree.core.trajectory import Frame, Trajectory
 from slipfree.files.toml import Quantity
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.samples import measured_slip
-from slipfree.plan.verification import simulate_to_failure
 from slipfree.problem import build
 from slipfree.problem.build_ground import GroundMap, build_ground
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import DriverTable, TerrainKeys, VehicleSource
 from slipfree.solve.sampling import input_samples
+from slipfree.solve.simulate import simulate_to_failure
 from slipfree.solve.system import with_inputs
 from slipfree.system.parts import PartsWatch, study, until_interrupt
 from slipfree.vehicle.tree import Vehicle

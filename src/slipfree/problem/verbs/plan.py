@@ -50,7 +50,7 @@ from slipfree.problem.verbs import base, plan_search, plan_setup
 from slipfree.routing.search import separation_words
 from slipfree.solve.sampling import TURN, input_samples
 from slipfree.solve.settle import SPEED, settle
-from slipfree.solve.simulate import simulate
+from slipfree.solve.simulate import simulate_to_failure
 from slipfree.solve.system import SolverOptions
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Profile
@@ -682,8 +682,8 @@ def _simulated(
         return {f"{prefix}_failure": Fact("not simulated: the time limit has passed")}
     try:
         model, start = build()
-        step = setup.spec.time.step
-        run = simulate_plan(model, start, plan.motion, step=step, options=options)
+        given: dict[str, Any] = {"step": setup.spec.time.step, "deadline": setup.deadline}
+        run = simulate_plan(model, start, plan.motion, options=options, **given)
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         return {f"{prefix}_failure": Fact(f"not simulated: {error}")}
     if run.stop is not None:
@@ -769,7 +769,7 @@ def _in_soil(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
 
 def _momentum(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
     """Return the facts of the motion with inertia beside the plan, and of its path without."""
-    if setup.spec.model != "dynamics":
+    if setup.spec.model != "dynamics" or not plan.difference:
         return {}
     facts = {"momentum_distance": Fact(max(plan.difference[name] for name in "xyz"), "m")}
     for name, run in (("_plan", plan.run), ("", plan.replay)):
@@ -790,11 +790,9 @@ def _momentum(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
             rates[f"{c.name}_rate"] = run[f"{c.name}_speed"]
         lines = {name: PiecewiseLinear.through(run.t, rate) for name, rate in rates.items()}
         options = SolverOptions(tolerance=FRICTION_TOLERANCE)
-        slow = simulate(model, start, model.inputs(**lines), run.t, options=options)
+        slow = simulate_to_failure(model, start, model.inputs(**lines), run.t, options)
     except (SlipfreeError, np.linalg.LinAlgError) as error:  # the plan is valid without it
-        if not (isinstance(error, trajectory.SolverError) and error.trajectory):
-            return {**facts, "slow_failure": Fact(f"not simulated: {error}")}
-        slow = error.trajectory
+        return {**facts, "slow_failure": Fact(f"not simulated: {error}")}
     needed, used = (np.abs(each["drive_torque"].sum(axis=1)) for each in (slow, run))
     k = int(needed.argmax())
     return {

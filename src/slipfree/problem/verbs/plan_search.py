@@ -164,7 +164,8 @@ def find_plan(
                 # creep differs from the sliding of the simulation
                 accuracy = 1.0 if found.program.task.dae.replay else spec.plan.accuracy
                 where = found.program, found.solution.unknowns, before
-                shown = verify_plan(*where, accuracy=accuracy, step=spec.time.step)._asdict()
+                how: dict[str, Any] = {"step": spec.time.step, "deadline": setup.deadline}
+                shown = verify_plan(*where, accuracy=accuracy, **how)._asdict()
                 names = "replay", "difference", "violation", "units", "accurate"
                 return replace(found, **{name: shown[name] for name in names})
             now = replace(now, stages=(*found.stages, *now.stages))
