@@ -182,16 +182,6 @@ def test_path_marks_start_and_end(run, ax):
     drawn(ax.figure)
 
 
-@pytest.mark.parametrize(("way", "angle"), [((1, 0), -90), ((0, 1), 0)])
-def test_arrows_point_the_way(run, ax, way, angle):
-    s = np.linspace(0, 3, run.t.size)
-    run = changed(changed(run, "x", way[0] * s), "y", way[1] * s)
-    motion_figures.path(run, ax)
-    arrows = [line for line in ax.lines if isinstance(line.get_marker(), tuple)]
-    assert len(arrows) == 3
-    assert [arrow.get_marker()[2] for arrow in arrows] == pytest.approx([angle] * 3)
-
-
 def test_tilts_and_moving_joints_are_drawn_with_degrees(run, grid):
     rocking = changed(run, "rocker", np.sin(run.t))
     (ax,) = drawn(figures(changed(rocking, "rocker_stop", run.t), grid, "tilts")["tilts"]).axes

@@ -2,13 +2,12 @@
 
 import json
 import os
+import re
 import socket
 import sys
 import time
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from helpers.sweep_cases import (
     table_rows,
     tasks_of,
 )
+from slipfree.cli.studies import _print_metrics
 from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.files import netcdf
 from slipfree.problem.inputs import recipe_of
@@ -42,7 +42,6 @@ from slipfree.sweep import (
     axis_of,
     drawn_grids,
     grids,
-    sweep_facts,
     sweep_of,
     work,
 )
@@ -157,10 +156,10 @@ def test_a_sweep_tells_tabulates_and_draws(whole):
         "power_law.seed  ",
         "1 to 3",
         "slip_rms ",
-        "mean 0, 0 to 0 m/s (12 runs)",  # by rounding
-        "driver.speed = 0.5 ",
-        f"{ROUGH} = 0.02 ",
-        "(6 runs)",
+        "driver.speed [m/s]  ",
+        f"{ROUGH} [m]",
+        "0.02  ",
+        "all runs  ",
         "drew slip_rms, ",
     ):
         assert words in result.stdout, words
@@ -514,18 +513,20 @@ def _swept(axes: Sequence[Varied], values: Any) -> Swept:
     return Swept("slip_rms", "m s-1", tuple(axes), np.array(values, dtype=float))
 
 
-def test_one_run_has_no_range_and_values_have_nine_digits():
-    thirds = Varied("driver.speed", ("0.0866666666667", "0.2"), "m/s")
-
-    class NoRows(list[RunRow]):
-        outcomes, ended = Counter[str](), staticmethod(lambda _: [])
-        read = staticmethod(list)
-
-    swept = _swept([thirds], [[1.0, np.nan], [2.0, 3.0]])
-    plan: Any = SimpleNamespace(count=3, seeds={})
-    _, _, first, second = sweep_facts(plan, NoRows(), {"slip_rms": swept}, ["slip_rms"])
-    assert first == ("  driver.speed = 0.0866666667", "1 m/s (1 run)")
-    assert second == ("  driver.speed = 0.2", "mean 2.5, 2 to 3 m/s (2 runs)")
+def test_a_table_of_each_key_has_short_values_and_bold_best_ones(monkeypatch, capsys):
+    thirds = Varied("driver.speed", ("0.0866666666667", "0.2", "0.3"), "m s-1")
+    swept = _swept([thirds], [[1.0, np.nan], [2.0, 3.0], [np.nan, np.nan]])
+    _print_metrics([swept])
+    head, rule, *told = capsys.readouterr().out.splitlines()[1:]
+    assert re.split("  +", head) == ["driver.speed [m/s]", "slip_rms [m/s]"]
+    assert {*rule} == {"-", " "}
+    rows = ["0.08667", "1"], ["0.2", "2.5 (2 to 3)"], ["0.3", "-"], ["all runs", "2 (1 to 3)"]
+    assert [re.split("  +", line) for line in told] == [*rows]
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    for name, bold in ((swept.name, ["1"]), ("tip_over_margin_least", ["2.5 (2 to 3)"])):
+        _print_metrics([swept._replace(name=name)])
+        told = capsys.readouterr().out.splitlines()[4:]
+        assert [w for line in told for w in re.findall(r"\x1b\[1m(\S.*?) *\x1b", line)] == bold
 
 
 def test_a_curve_with_its_spread():

@@ -425,7 +425,7 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
     with Rows(file.parent / "out", sweep.count, sweep.head) as rows:
         rows.store(1, done)
         rows.store(2, Done(failed))
-        told = dict(sweep_facts(sweep, rows, {}, ()))
+        told = dict(sweep_facts(sweep, rows, {}))
     assert told["  run 1 lost"] == "OSError: [Errno 28] No space left on device (time.step=0.1)"
     assert told["  run 2 failed"] == "by chance (time.step=0.1)"
     assert told["  ..."] == "the same command repeats lost runs"

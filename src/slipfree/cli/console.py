@@ -36,13 +36,13 @@ from slipfree.core.errors import (
     descriptions,
     shortened,
 )
-from slipfree.core.facts import in_short
+from slipfree.core.facts import best_text, cells, in_short, table
 from slipfree.core.version import __version__
 from slipfree.system import interrupt
 from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
-    from slipfree.core.facts import Lines
+    from slipfree.core.facts import Lines, TableColumn
     from slipfree.problem.build_ground import GroundMap
     from slipfree.problem.problem import Problem
     from slipfree.system.parts import Parts, PartsWatch
@@ -636,6 +636,25 @@ def show(facts: list[tuple[str, str]]) -> None:
     for name, value in facts:  # a second column is added by its first text
         table.add_row(Text(visible(name)), Text(visible(value)))
     Console().print(table)
+
+
+def print_table(columns: Sequence[TableColumn], rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print a table; on a terminal, the best values of columns with a sign of risk are bold."""
+    if not sys.stdout.isatty():
+        print_line("\n".join(table(columns, rows)))
+        return
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    heads, *texts = cells(columns, rows)
+    best = [best_text(column, rows) for column in columns]
+    drawn = Table(*heads, box=SIMPLE_HEAD, pad_edge=False)
+    for row in texts:
+        marked = zip(row, best, strict=True)
+        drawn.add_row(*(Text(visible(text), "bold" * (text == good)) for text, good in marked))
+    Console().print(drawn)
 
 
 def duration(seconds: float) -> str:

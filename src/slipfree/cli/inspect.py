@@ -13,7 +13,7 @@ import typer
 from slipfree.cli import console, outputs
 from slipfree.cli.console import BAD_INPUT, Draw, File, Force, ResultFile, Settings, Trust
 from slipfree.core.errors import DataError
-from slipfree.core.facts import TableColumn, table
+from slipfree.core.facts import TableColumn
 
 OK = "ok", "no errors found"
 
@@ -123,7 +123,8 @@ def vehicle(
     console.print_facts(description.facts, description.details)
     if description.wheels:
         columns = [TableColumn(name, name) for name in description.wheels[0]]
-        console.print_line("\n".join(["", *table(columns, description.wheels)]))
+        console.print_line()
+        console.print_table(columns, description.wheels)
     if description.faults:
         console.print_error("\n".join(description.faults))
         raise typer.Exit(BAD_INPUT)

@@ -13,12 +13,13 @@ from slipfree.cli import console
 from slipfree.cli.outputs import check_outputs, draw_figures, save
 from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import ModelError
-from slipfree.core.facts import TableColumn, table
+from slipfree.core.facts import TableColumn
 from slipfree.system.interrupt import interrupt_requested
 from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
     from slipfree.plan.pareto import FrontPoint
+    from slipfree.show.plots import Swept
 
 FRONT = "pareto.csv", "pareto.png"  # table and figure of a Pareto front
 GO_ON = "repeat the command to continue"
@@ -57,7 +58,7 @@ def compare(
             rolls = "yes" if row["rank"] == row["conditions"] else "no"
             more = {"axle": axle, "stop": stopped, "name": row["name"], "rolls": rolls}
             shown.append({**values, **more})
-        console.print_line("\n".join(table(COMPARED, shown)))
+        console.print_table(COMPARED, shown)
     console.print_line(
         "\n* whether the vehicle can roll without slip at suitable rates\n** largest friction "
         "coefficient that a wheel requires, with load-weighted contact forces"
@@ -69,9 +70,9 @@ def compare(
 COMPARED = (
     TableColumn("", "name"),
     TableColumn("rolls*", "rolls"),
-    TableColumn("along", "slip_along", ".2f", "mm/s"),
-    TableColumn("across", "slip_across", ".2f", "mm/s"),
-    TableColumn("friction**", "friction_needed", ".3f"),
+    TableColumn("along", "slip_along", ".2f", "mm/s", 1),
+    TableColumn("across", "slip_across", ".2f", "mm/s", 1),
+    TableColumn("friction**", "friction_needed", ".3f", "", 1),
     TableColumn("tilt [deg]", "tilt", ".2f", "deg"),
     TableColumn("axle [m]", "axle"),
     TableColumn("", "stop"),
@@ -369,7 +370,9 @@ def sweep(
         run_sweep(plan, rows, workers, keep=keep, watch=watch)
     names = choose_figures(plan, rows, figures or [])
     tables = grids(plan, rows, names)
-    console.print_facts(sweep_facts(plan, rows, tables, names))
+    console.print_facts(sweep_facts(plan, rows, tables))
+    if names:
+        _print_metrics([tables[name] for name in names])
     console.print_written(folder / TABLE)
     # finished runs without a result file, such as those run without --keep
     moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST})) if keep else []
@@ -387,3 +390,20 @@ def sweep(
             draw_figures(sweep_plots(drawn_grids(rows, tables, names)), folder / FIGURES)
     if rows.ended(FAILED, LOST):
         raise typer.Exit(console.STOPPED)
+
+
+def _print_metrics(tables: Sequence[Swept]) -> None:
+    """Print a table for each varied key of a sweep, with metrics at its first values."""
+    from slipfree.show.plots import Varied
+    from slipfree.show.study_figures import labelled, risk
+    from slipfree.sweep import MAX_VALUES, TABLE, sweep_rows
+
+    rows = sweep_rows(tables)
+    console.add_json("metrics", lambda: rows)
+    columns = [TableColumn(labelled(e.name, e.unit), e.name, "", "", risk(e.name)) for e in tables]
+    for axis in tables[0].axes or (Varied("", ()),):
+        shown = [row for row in rows if row["key"] in (axis.name, "")]
+        if (more := len(shown) - 1 - MAX_VALUES) > 0:
+            shown[MAX_VALUES:-1] = [{"value": f"{more} more, see {TABLE}"}]
+        console.print_line()
+        console.print_table([TableColumn(labelled(axis.name, axis.unit), "value"), *columns], shown)

@@ -20,6 +20,7 @@ SCALES = {
     **{"deg": 180 / pi, "%": 100.0, "ms": 1e3},
     **{"mm": 1e3, "mm/s": 1e3, "mm/m": 1e3, "mm2/s": 1e6},
 }
+STATISTICS = "mean", "min", "max"  # keys of the statistics of numbers
 ROUNDING = 1e-9  # smaller values in the units that people read are printed as zero
 NOTE = "vehicle file"  # name of the facts on the vehicle file
 MAX_LISTED = 5  # largest number of table rows in one line
@@ -147,25 +148,44 @@ class TableColumn(NamedTuple):
     key: str
     spec: str = ""  # format of its numbers
     shown: str = ""  # unit of its numbers in the table, if not that of the rows: a key of `SCALES`
+    risk: int = 0  # 1 if small numbers are good, -1 if large ones are
 
 
 def table(columns: Iterable[TableColumn], rows: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return the lines of a table; values that a row does not have are dashes."""
-
-    def cell(column: TableColumn, value: Any) -> str:
-        if isinstance(value, str):
-            return value
-        if hasattr(value, "__iter__"):
-            return " ".join(cell(column, each) for each in value)
-        if value is None or value != value:  # NaN
-            return "-"
-        return format(SCALES[column.shown] * value if column.shown else value, column.spec)
-
-    columns = list(columns)
-    texts = [[column.head for column in columns]]
-    texts += [[cell(column, row.get(column.key)) for column in columns] for row in rows]
+    """Return the lines of a table, with a rule below the heads."""
+    texts = cells(columns, rows)
     widths = [max(map(len, each)) for each in zip(*texts, strict=True)]
+    texts.insert(1, ["-" * width for width in widths])
     return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in texts]
+
+
+def cells(columns: Iterable[TableColumn], rows: Iterable[Mapping[str, Any]]) -> list[list[str]]:
+    """Return the texts of a table, heads first; values that a row does not have are dashes."""
+    columns = list(columns)
+    texts = ([_cell(column, row.get(column.key)) for column in columns] for row in rows)
+    return [[column.head for column in columns], *texts]
+
+
+def _cell(column: TableColumn, value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    if isinstance(value, Mapping):
+        mean, low, high = (f"{value[key]:.3g}" for key in STATISTICS)
+        return mean if low == high else f"{mean} ({low} to {high})"
+    if hasattr(value, "__iter__"):
+        return " ".join(_cell(column, each) for each in value)
+    if value is None or value != value:  # NaN
+        return "-"
+    return format(SCALES[column.shown] * value if column.shown else value, column.spec)
+
+
+def best_text(column: TableColumn, rows: Iterable[Mapping[str, Any]]) -> str | None:
+    """Return the text of the best value of a column; None if all are equal or have no risk."""
+    values = [row[column.key] for row in rows if column.risk and row.get(column.key) is not None]
+    numbers = [each["mean"] if isinstance(each, Mapping) else each for each in values]
+    worths = [column.risk * (max(n) if hasattr(n, "__iter__") else n) for n in numbers]
+    best = min(worths, default=0.0, key=lambda worth: (worth != worth, worth))  # NaN last
+    return _cell(column, values[worths.index(best)]) if len({*worths}) > 1 else None
 
 
 def decode(text: str) -> dict[str, Fact]:

@@ -185,14 +185,12 @@ def ground_plot(grid: Grid, place: tuple[float, float] | None = None) -> Plot:
 
 
 def path(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the path of the platform's centre in plan view, with direction, start, end and stop.
+    """Draw the path of the platform's centre in plan view, with start, end and stop.
 
     The place where a body came closest to the ground is marked if the facts contain it.
     """
     x, y = run["x"], run["y"]
     ax.plot(x, y, color=PLATFORM, label="platform", path_effects=style.halo(2.4), zorder=3)
-    for at, way in _directions(x, y, float(np.ptp(ax.get_xlim()))):
-        ax.plot(*at, marker=(3, 0, way), ms=6, mfc=PLATFORM, mec="white", mew=0.6, zorder=4)
     marks: dict[str, Any] = {"ls": "none", "mec": "black", "ms": 5, "zorder": 5}
     ax.plot(x[:1], y[:1], "o", mfc="white", label=f"start, {run.t[0]:.4g} s", **marks)
     if run.stop is None:
@@ -396,15 +394,3 @@ FIGURES: tuple[Compose, ...] = (
 def _distance(run: Trajectory) -> Array:
     """Return the length of the platform's path up to each sample, shape (n,) [m]."""
     return np.append(0.0, np.cumsum(np.sqrt(sum(np.diff(run[name]) ** 2 for name in "xyz"))))
-
-
-def _directions(x: Array, y: Array, width: float) -> list[tuple[tuple[float, float], float]]:
-    """Return positions [m] of arrows along a path, and their angles from the y axis [deg]."""
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-    if s[-1] < 0.1 * width:
-        return []
-    parts = np.array([0.25, 0.5, 0.75]) if s[-1] > 0.5 * width else np.array([0.55])
-    at = s[-1] * np.array([parts - 0.01, parts, parts + 0.01])
-    u, v = np.interp(at, s, x), np.interp(at, s, y)
-    ways = np.rad2deg(np.arctan2(u[0] - u[2], v[2] - v[0]))
-    return [((u[1, k], v[1, k]), float(way)) for k, way in enumerate(ways)]

@@ -145,6 +145,13 @@ class Varied(NamedTuple):
         except ValueError:
             return None
 
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The values with as many digits as tell them apart, at least four."""
+        numbers = self.numbers or ()  # such as northings with seven digits before the point
+        n = next(n for n in range(4, 18) if len({f"{x:.{n}g}" for x in numbers}) == len({*numbers}))
+        return tuple(f"{x:.{n}g}" for x in numbers) or self.values
+
 
 class Swept(NamedTuple):
     """A metric over the varied keys."""

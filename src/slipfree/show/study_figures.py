@@ -10,19 +10,15 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import combinations
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
-from scipy.stats import chi2
 
 from slipfree.core.facts import printed_unit
 from slipfree.core.records import Array
 from slipfree.fit.drive_fit import Score, WindowKind, by_logs, rms
-from slipfree.fit.estimate import CONFIDENCE
 from slipfree.fit.wheel_soil import QUANTITIES, SoilFit
 from slipfree.models.single_wheel import WheelCurves
 from slipfree.plan.pareto import FrontPoint
@@ -30,18 +26,19 @@ from slipfree.show import style
 from slipfree.show.plots import Panel, Plot, Swept, Varied, stack
 from slipfree.show.style import MM, PAGE, PALETTE, STOPPED
 
-# words in the names of metrics, and their colours, on which black numbers are legible
-COLOURS = {
-    "margin|clearance|within_limits|complete": style.RISK.reversed(),
-    "slip|utilisation|friction|tilt|sinkage|violation": style.RISK,
-    "": style.HEIGHTS,
+# words in the names of metrics; whether large values are risks (1) or good (-1)
+RISKS = {
+    "margin|clearance|within_limits|complete": -1,
+    "slip|utilisation|friction|tilt|sinkage|violation": 1,
+    "": 0,
 }
+# on which black numbers are legible
+COLOURS = {-1: style.RISK.reversed(), 1: style.RISK, 0: style.HEIGHTS}
 NOTHING = "0.85"  # colour of cells without a run
 MOST_WORDS = 8  # maximum number of cells per side with numbers
 ROOM = 7  # maximum number of horizontal texts at an axis
 WIDE = 30.0  # smallest ratio of values drawn on a logarithmic axis
 SWEPT_HEIGHT = 61.0  # of a panel [mm]
-TANGENT = 0.06  # length of a tangent on each side [second objective]
 FAILED_HEIGHT = 0.03  # height of the marks of unsolved points [axes]
 PANELS = (
     ("pull", "drawbar pull [N]", 1.0),
@@ -51,10 +48,8 @@ PANELS = (
 )  # quantity, axis label, factor from SI units
 SAME_LOAD = 0.01  # relative difference from the load of the curves [1]
 SAME_ANGLE = np.deg2rad(0.5)  # measured points within this angle of a curve have its colour [rad]
-MAX_ELLIPSES = 6  # drawn, with the strongest correlations first
 COLUMNS = 3
 ROW_HEIGHT = 55.0  # [mm]
-CIRCLE_POINTS = 100
 
 
 def distribution(swept: Swept, ax: Axes) -> Axes:
@@ -63,7 +58,7 @@ def distribution(swept: Swept, ax: Axes) -> Axes:
     count = "1 run" if values.size == 1 else f"{values.size} runs"
     ax.ecdf(values, color=PALETTE[0], label=count)
     ax.axvline(values.mean(), color=PALETTE[1], ls="--", label=f"mean {values.mean():.4g}")
-    ax.set_xlabel(_labelled(swept.name, swept.unit))
+    ax.set_xlabel(labelled(swept.name, swept.unit))
     ax.set_ylabel("share of runs [1]")
     return ax
 
@@ -89,8 +84,8 @@ def curve(swept: Swept, ax: Axes) -> Axes:
         ax.plot(at, values.ravel(), ".", ms=3, mew=0, color="0.35", label="runs", zorder=2)
     if not varied.numbers:
         _ticks(ax.xaxis, varied.values)
-    ax.set_xlabel(_labelled(varied.name, varied.unit))
-    ax.set_ylabel(_labelled(swept.name, swept.unit))
+    ax.set_xlabel(labelled(varied.name, varied.unit))
+    ax.set_ylabel(labelled(swept.name, swept.unit))
     return ax
 
 
@@ -101,18 +96,13 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
     orders = [np.argsort(_positions(each)) for each in (across, up)]
     mean = mean[np.ix_(*orders)]
     ax.set_facecolor(NOTHING)
-    colors = next(colors for words, colors in COLOURS.items() if re.search(words, swept.name))
-    drawn: Any = ax.imshow(mean.T, origin="lower", aspect="auto", cmap=colors)
+    drawn: Any = ax.imshow(mean.T, origin="lower", aspect="auto", cmap=COLOURS[risk(swept.name)])
     bar = ax.figure.colorbar(drawn, ax=ax)
     more = ", mean" if swept.values.shape[-1] > 1 else ""
-    bar.set_label(_labelled(f"{swept.name}{more}", swept.unit))
+    bar.set_label(labelled(f"{swept.name}{more}", swept.unit))
     for axis, varied, order in zip((ax.xaxis, ax.yaxis), (across, up), orders, strict=True):
-        numbers = varied.numbers or ()
-        # as many digits as tell the numbers apart, such as northings with seven before the point
-        n = next(n for n in range(4, 18) if len({f"{x:.{n}g}" for x in numbers}) == len({*numbers}))
-        names = [f"{x:.{n}g}" for x in numbers] or varied.values
-        _ticks(axis, [names[k] for k in order])
-        axis.set_label_text(_labelled(varied.name, varied.unit))
+        _ticks(axis, [varied.words[k] for k in order])
+        axis.set_label_text(labelled(varied.name, varied.unit))
     is_small = max(mean.shape) <= MOST_WORDS
     for i, j in np.argwhere(np.isfinite(mean)).tolist() if is_small else ():
         ax.text(i, j, f"{mean[i, j]:.3g}", ha="center", va="center", fontsize=6)
@@ -127,6 +117,11 @@ def sweep_plots(quantities: Sequence[Swept]) -> list[Plot]:
         return stack(None, [Panel(partial(draw, swept), SWEPT_HEIGHT)])
 
     return [Plot(each.name, "", partial(make, each)) for each in quantities]
+
+
+def risk(name: str) -> int:
+    """Return the sign of the risk of large values of a metric, zero if it is neither."""
+    return next(sign for words, sign in RISKS.items() if re.search(words, name))
 
 
 def _over(reduce: Any, values: Array) -> Array:
@@ -155,27 +150,20 @@ def _ticks(axis: Any, values: Sequence[str]) -> None:
     )
 
 
-def _labelled(name: str, unit: str) -> str:
+def labelled(name: str, unit: str) -> str:
+    """Return the name of a quantity with its unit."""
     return f"{name} [{printed_unit(unit)}]" if unit else name
 
 
 def front_plot(against: str, unit: str, points: Sequence[FrontPoint], given: FrontPoint) -> Plot:
-    """Return the figure of a front: minimised objective with tangents, and slip per metre.
+    """Return the figure of a front: minimised objective, and slip per metre.
 
     ``against`` and ``unit`` are those of the second objective. Solutions of ``points``, and of the
     plan ``given`` with the costs of the problem, have the slip per wheel and metre in ``slip``.
     """
 
     def upper(ax: Axes) -> None:
-        """Draw first over second objective, with tangents from the multipliers of the bounds."""
         _draw_points(points, given, lambda point: 1e6 * point.first, ax)
-        label = "slope (price)"
-        for point in points:  # short tangents, by the derivative with respect to the bound
-            away = TANGENT * point.second * np.array([-1.0, 1.0])
-            values = 1e6 * (point.first + point.slope * away)
-            if point.slope < 0 and values.min() > 0:
-                ax.plot(point.second + away, values, lw=2.5, alpha=0.5, color="0.4", label=label)
-                label = ""
         ax.set_ylabel("squared slip and\nsmoothness [mm$^2$/s]")
 
     def lower(ax: Axes) -> None:
@@ -241,25 +229,17 @@ def soil_plot(name: str, measured: Array, fit: SoilFit) -> Plot:
     """Return the figure of a fit of a soil to quantities, shape (n, 4), to be drawn later."""
     words = (
         "Computed over measured quantities, with the constants before the fit and with those "
-        "fitted to other runs, and 95 % confidence ellipses with the strongest correlations."
+        "fitted to other runs."
     )
     return Plot(name, words, partial(soil_figure, measured, fit))
 
 
 def soil_figure(measured: Array, fit: SoilFit) -> Figure:
-    """Return the figure of computed over measured quantities, and of ellipses of the estimate."""
-    names, estimate = [*QUANTITIES.items()], fit.estimate
-    spread = np.sqrt(np.diag(estimate.covariance))
-    known = np.flatnonzero((spread > 0) & (spread < np.inf)).tolist()
-
-    def weakness(pair: tuple[int, int]) -> float:
-        return -abs(float(estimate.covariance[pair] / spread[[*pair]].prod()))
-
-    pairs = sorted(combinations(known, 2), key=weakness)[:MAX_ELLIPSES]
+    """Return the figure of computed over measured quantities."""
     panels = np.flatnonzero(np.isfinite(measured).any(axis=0)).tolist()
-    rows = -(-(len(panels) + len(pairs)) // COLUMNS)
+    rows = -(-len(panels) // COLUMNS)
     made = style.figure(PAGE, rows * ROW_HEIGHT * MM)
-    axes = iter(made.subplots(rows, COLUMNS, squeeze=False).ravel())
+    axes = made.subplots(rows, COLUMNS, squeeze=False).ravel()
     models = {"before": fit.nominal, "fitted to others": fit.validated}
     for at, ax in zip(panels, axes, strict=False):
         for k, (label, values) in enumerate(models.items()):
@@ -267,21 +247,9 @@ def soil_figure(measured: Array, fit: SoilFit) -> Figure:
             ax.plot(measured[:, at], values[:, at], "o", label=label, **look)
         ends = np.nanmin(measured[:, at]), np.nanmax(measured[:, at])
         ax.plot(ends, ends, color="black", lw=0.6)
-        ax.set(xlabel="measured {} [{}]".format(*names[at]), ylabel="computed")
-    made.axes[0].legend()
-    for pair, ax in zip(pairs, axes, strict=False):
-        values, vectors = np.linalg.eigh(estimate.covariance[np.ix_(pair, pair)])
-        radii = np.sqrt(np.maximum(values, 0) * float(chi2.ppf(CONFIDENCE, 2)))
-        angle = np.linspace(0, 2 * np.pi, CIRCLE_POINTS)
-        ring: Array = vectors @ (radii[:, None] * np.array([np.cos(angle), np.sin(angle)]))
-        x, y = estimate.values[[*pair]]
-        ax.plot(x + ring[0], y + ring[1], color=PALETTE[1])
-        ax.plot(x, y, "+", color="black", ms=4)
-        for k, axis in zip(pair, (ax.xaxis, ax.yaxis), strict=True):
-            name, unit = estimate.labels[k].name, estimate.labels[k].unit
-            axis.set_major_locator(MaxNLocator(3))
-            axis.set_label_text(name if unit == "1" else f"{name} [{unit}]")
-    for ax in axes:
+        ax.set(xlabel="measured {} [{}]".format(*[*QUANTITIES.items()][at]), ylabel="computed")
+    axes[0].legend()
+    for ax in axes[len(panels) :]:
         ax.set_axis_off()
     return made
 

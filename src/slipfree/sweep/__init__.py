@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.core.errors import DataError, SlipfreeError, shortened
-from slipfree.core.facts import ROUNDING, Fact, Lines, numbers, printed_unit
+from slipfree.core.facts import ROUNDING, STATISTICS, Fact, Lines, numbers
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.core.version import __version__
@@ -533,9 +533,7 @@ def grids(sweep: Sweep, rows: Rows, figures: Sequence[str]) -> dict[str, Swept]:
     return {k: Swept(k, units[k], axes, each.reshape(shape)) for k, each in values.items()}
 
 
-def sweep_facts(
-    sweep: Sweep, rows: Rows, tables: Mapping[str, Swept], figures: Sequence[str]
-) -> Lines:
+def sweep_facts(sweep: Sweep, rows: Rows, tables: Mapping[str, Swept]) -> Lines:
     """Return the facts of the summary of a sweep, pairs of name and text."""
     counts = ((outcome, count) for outcome, count in rows.outcomes.most_common() if count)
     listed = ", ".join(f"{count} {outcome}" for outcome, count in counts)
@@ -553,19 +551,24 @@ def sweep_facts(
         words = f"{good:.0f} of {count} runs ({100 * good / count:.0f} %): solved, and the "
         words += "simulation satisfies goal and limits within plan.accuracy"
         facts.append(("within limits", words))
-    # mean and range of each metric, over all runs and for every value of every key
-    for swept in (tables[name] for name in figures):
-        unit = "" if swept.unit in ("1", "") else f" {printed_unit(swept.unit)}"
-        facts.append((swept.name, _spread(swept.values, unit)))
-        for k, axis in enumerate(swept.axes):
-            parts = np.moveaxis(swept.values, k, 0)
-            for value, part in list(zip(axis.values, parts, strict=True))[:MAX_VALUES]:
-                short = f"{float(value):.9g}" if axis.numbers else value
-                facts.append((f"  {axis.name} = {short}", _spread(part, unit)))
-            if len(parts) > MAX_VALUES:
-                more = f"{len(parts) - MAX_VALUES} more values; {TABLE} lists all"
-                facts.append(("  ...", more))
     return facts
+
+
+def sweep_rows(tables: Sequence[Swept]) -> list[dict[str, Any]]:
+    """Return rows with statistics of metrics, for each value of each key and over all runs."""
+    parts = list[tuple[str, str, list[Array]]]()
+    for k, axis in enumerate(tables[0].axes):
+        whole = [np.moveaxis(each.values, k, 0) for each in tables]
+        parts += [(axis.name, v, [each[j] for each in whole]) for j, v in enumerate(axis.words)]
+    rows = list[dict[str, Any]]()
+    for key, value, values in [*parts, ("", "all runs", [each.values for each in tables])]:
+        rows.append({"key": key, "value": value})
+        for each, swept in zip(values, tables, strict=True):
+            there = each[np.isfinite(each)]
+            if there.size:
+                ends = {name: float(getattr(there, name)()) for name in STATISTICS}
+                rows[-1][swept.name] = {"runs": there.size, **ends}
+    return rows
 
 
 def seed_facts(sweep: Sweep) -> Iterator[tuple[str, str]]:
@@ -573,17 +576,6 @@ def seed_facts(sweep: Sweep) -> Iterator[tuple[str, str]]:
     for i, key in enumerate(sweep.seeds):
         first = sweep.seed + i * sweep.repeat
         yield f"  {key}", f"{first} to {first + sweep.repeat - 1}"
-
-
-def _spread(values: Array, unit: str) -> str:
-    """Return mean and extremes of finite values in words."""
-    there = values[np.isfinite(values)]
-    if not there.size:
-        return "no run"
-    if there.size == 1:
-        return f"{there[0]:.5g}{unit} (1 run)"
-    spread = f"mean {there.mean():.5g}, {there.min():.5g} to {there.max():.5g}"
-    return f"{spread}{unit} ({there.size} runs)"
 
 
 def drawn_grids(rows: Rows, tables: Mapping[str, Swept], figures: Sequence[str]) -> list[Swept]:
@@ -600,7 +592,7 @@ def plan_facts(sweep: Sweep) -> Lines:
     times = f" = {' x '.join(map(str, sizes))}" if len(sizes) > 1 else ""
     facts = [("runs", f"{sweep.count}{times}")]
     for axis in sweep.axes:
-        few, many = axis.values, len(axis.values)
+        few, many = axis.words, len(axis.values)
         if many > MAX_VALUES:
             few = (*few[:3], "...", few[-1])
         count = "1 value" if many == 1 else f"{many} values"
