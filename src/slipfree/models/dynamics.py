@@ -66,31 +66,7 @@ from slipfree.laws.protocols import (
     wheel_labels,
     wheel_limits,
 )
-from slipfree.models.base import (
-    Configuration,
-    Dependent,
-    ForceOutputs,
-    Forces,
-    Inputs,
-    Mechanics,
-    Outputs,
-    Quantities,
-    Rates,
-    VehicleState,
-    body_checks,
-    check_mass,
-    effort_label,
-    extent,
-    labels_of,
-    level_heights,
-    outputs,
-    pressed_labels,
-    raised_poses,
-    sizes,
-    slip_ratios,
-    tangential_components,
-    vehicle_dae,
-)
+from slipfree.models import base
 from slipfree.models.kinematics import exact_dae, pressed_dae
 from slipfree.models.limits import limits_of, tip_over_margin
 from slipfree.models.multibody import (
@@ -239,14 +215,14 @@ class DynamicOutputs(NamedTuple, Generic[T]):
     pitch_rate: T
     contact_x: tuple[T, ...]
     contact_y: tuple[T, ...]
-    common: Outputs[T]
+    common: base.Outputs[T]
     kinetic_energy: T
     contact_energy: T
     body_load: tuple[T, ...]
     solids: tuple[OnSolid[T], ...]
 
 
-DynamicDae = Dae[DynamicState[ca.SX], tuple[()], Inputs[ca.SX], DynamicOutputs[ca.SX]]
+DynamicDae = Dae[DynamicState[ca.SX], tuple[()], base.Inputs[ca.SX], DynamicOutputs[ca.SX]]
 
 
 def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) -> Labels:
@@ -254,7 +230,7 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) ->
 
     ``bears`` is whether bodies bear load.
     """
-    still = labels_of(vehicle, follow=False)
+    still = base.labels_of(vehicle, follow=False)
     q = still.q._replace(lost=(quantity_label("lost_energy"),))
     joints = zip(vehicle.of("commanded"), still.u.joints, strict=True)
     wheels = list[Label]()
@@ -264,9 +240,11 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) ->
             wheels.append(Label(f"{name}_torque", "N m", f"torque on {words}"))
         elif wheel.driven:
             wheels.append(Label(f"{name}_rate", "rad s-1", f"rate of {words}"))
-    u = Inputs(
+    u = base.Inputs(
         tuple(wheels),
-        tuple(effort_label(vehicle, c) if c.drive.takes_effort else rate for c, rate in joints),
+        tuple(
+            base.effort_label(vehicle, c) if c.drive.takes_effort else rate for c, rate in joints
+        ),
     )
     along, on_solids = "along the direction of travel", list[OnSolid]()
     for k in range(solids + 1 if solids else 0):
@@ -288,7 +266,7 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) ->
         position.contacts,
         still.y._replace(
             forces=forces,
-            **pressed_labels(vehicle),
+            **base.pressed_labels(vehicle),
             slip_ratio=quantity_labels(vehicle, "slip_ratio"),
         ),
         quantity_label("kinetic_energy"),
@@ -301,7 +279,7 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) ->
 
 def _outputs(
     vehicle: Vehicle,
-    motion: tuple[Configuration, Dependent, Rates],
+    motion: tuple[base.Configuration, base.Dependent, base.Rates],
     contacts: Sequence[Sequence[Any]],
     *others: Any,
 ) -> DynamicOutputs:
@@ -344,7 +322,7 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
             _integral(each.name, "N m") for each in vehicle.wheels if each.acting_drive.has_integral
         ),
         tuple(
-            _integral(c.name, effort_label(vehicle, c).unit)
+            _integral(c.name, base.effort_label(vehicle, c).unit)
             for c in vehicle.coordinates
             if c.acting_drive.has_integral
         ),
@@ -417,7 +395,7 @@ class MovingVehicle(NamedTuple):
     terrain: Terrain
     lookups: LookupTable
     x: DynamicState
-    u: Inputs
+    u: base.Inputs
     body: Multibody
 
 
@@ -440,19 +418,19 @@ class Effort(NamedTuple):
     actuators: tuple[ca.SX, ...]
 
 
-def quantities(moving: MovingVehicle, contacts: Sequence[Contact]) -> Quantities:
+def quantities(moving: MovingVehicle, contacts: Sequence[Contact]) -> base.Quantities:
     """Return the quantities from which limits and outputs are computed."""
     vehicle, terrain, lookups, x, u, body = moving
     x = in_space(vehicle, x)
     r = body.parts["platform"].pose.rotation
     values = [(c.kind, value) for c, value in zip(vehicle.coordinates, x.joints, strict=True)]
-    place = Configuration(
+    place = base.Configuration(
         x.x,
         x.y,
         ca.atan2(r[1, 0], r[0, 0]),
         tuple(value for kind, value in values if kind != "suspension"),
     )
-    position = Dependent(
+    position = base.Dependent(
         x.z,
         ca.asin(ca.fmax(-1, ca.fmin(1, -r[2, 0]))),
         ca.atan2(r[2, 1], r[2, 2]),
@@ -460,7 +438,7 @@ def quantities(moving: MovingVehicle, contacts: Sequence[Contact]) -> Quantities
         (),
     )
     frames = tuple(each.touch.frame for each in contacts)
-    along, across = tangential_components(frames, [each.force.tangential for each in contacts])
+    along, across = base.tangential_components(frames, [each.force.tangential for each in contacts])
     height = sum(
         each.mass * body.parts[part].pose.origin[2] + each.first[2]
         for part, each in body.bodies.items()
@@ -478,7 +456,7 @@ def quantities(moving: MovingVehicle, contacts: Sequence[Contact]) -> Quantities
     omega_x, omega_y, omega_z = x.omega
     pitch_rate = (across_heading * omega_x + along_heading * omega_y) / ca.cos(position.roll)
     kinds = list(zip(vehicle.coordinates, x.joint_speeds, strict=True))
-    rates = Rates(
+    rates = base.Rates(
         x.velocity[0],
         x.velocity[1],
         x.velocity[2],
@@ -490,20 +468,20 @@ def quantities(moving: MovingVehicle, contacts: Sequence[Contact]) -> Quantities
         (),
         (),
     )
-    state = VehicleState(vehicle, terrain, lookups, place, position, rates, u)
-    return Quantities(
+    state = base.VehicleState(vehicle, terrain, lookups, place, position, rates, u)
+    return base.Quantities(
         *state,
-        Forces(along, across, tuple(each.force.normal for each in contacts)),
+        base.Forces(along, across, tuple(each.force.normal for each in contacts)),
         tuple(wheel.motion.pose for wheel in body.wheels),
         frames,
         tuple(each.slip for each in contacts),
         tuple(wheel.rate for wheel in body.wheels),
-        Mechanics(none, none, none, none, friction, vehicle.weight, energy, ca.SX(damped)),
+        base.Mechanics(none, none, none, none, friction, vehicle.weight, energy, ca.SX(damped)),
         tip_over_margin(state, frames),
     )
 
 
-def limit_quantities(q: Quantities, contacts: Sequence[Contact]) -> Quantities:
+def limit_quantities(q: base.Quantities, contacts: Sequence[Contact]) -> base.Quantities:
     """Return the quantities for limits: wheels in the air satisfy every limit on contacts."""
     frames = list[ContactFrame]()
     for each in contacts:
@@ -515,11 +493,11 @@ def limit_quantities(q: Quantities, contacts: Sequence[Contact]) -> Quantities:
 
 
 def dynamic_outputs(
-    q: Quantities,
+    q: base.Quantities,
     body: Multibody,
     shown: Sequence[Contact],
     contacts: Contacts,
-    forces: ForceOutputs,
+    forces: base.ForceOutputs,
 ) -> DynamicOutputs:
     """Return the outputs of the model; the slip of a wheel in the air is zero.
 
@@ -536,18 +514,18 @@ def dynamic_outputs(
             OnSolid(
                 tuple(each.touch.gap for each in touching),
                 tuple(each.force.normal for each in touching),
-                *(tangential_components(frames, each)[0] for each in vectors),
+                *(base.tangential_components(frames, each)[0] for each in vectors),
             )
         )
     return _outputs(
         q.vehicle,
         (q.x, q.position, q.rates),
         [(each.point[0] + o_x, each.point[1] + o_y) for each in q.contacts],
-        outputs(q, forces)._replace(
+        base.outputs(q, forces)._replace(
             depth=tuple(-each.touch.gap for each in shown),
             load_share=tuple(each * len(normal) / q.vehicle.weight for each in normal),
             force_normal=normal,
-            slip_ratio=slip_ratios(q),
+            slip_ratio=base.slip_ratios(q),
         ),
         kinetic_energy(body),
         sum((each.energy for each in contacts.all), ca.SX(0)),
@@ -578,8 +556,8 @@ def depth_limits(
 
 
 def dynamic_forces(
-    q: Quantities, contacts: Contacts, x: DynamicState, effort: Effort
-) -> ForceOutputs:
+    q: base.Quantities, contacts: Contacts, x: DynamicState, effort: Effort
+) -> base.ForceOutputs:
     """Return forces, powers and energies; a wheel in the air needs no friction."""
     along, across, normal, _ = q.forces
     needed = tuple(
@@ -593,7 +571,7 @@ def dynamic_forces(
         if c.kind == "commanded"
     ]
     efforts, rates = ca.vertcat(*effort.torques, *effort.actuators), (*q.spins, *commanded)
-    return ForceOutputs(
+    return base.ForceOutputs(
         along,
         across,
         needed,
@@ -654,10 +632,10 @@ def planar_start(
     )
     known = names.y, tuple(names.joints[k] for k in held)
     still = Labels(known, (unknowns,), (), (), (), (balance,))
-    (scale, shift), speed = sizes(vehicle, terrain, still), ca.SX.sym("speed")
-    given = Configuration(ca.SX(0), x.y, ca.SX(0), joints)
-    position = Dependent(x.z, ca.SX(0), x.attitude[0], tuple(x.joints[k] for k in free), ())
-    heights, _ = level_heights(VehicleState(vehicle, terrain, lookups, given, position))
+    (scale, shift), speed = base.sizes(vehicle, terrain, still), ca.SX.sym("speed")
+    given = base.Configuration(ca.SX(0), x.y, ca.SX(0), joints)
+    position = base.Dependent(x.z, ca.SX(0), x.attitude[0], tuple(x.joints[k] for k in free), ())
+    heights, _ = base.level_heights(base.VehicleState(vehicle, terrain, lookups, given, position))
     lowest = ca.mmin(heights) - max(wheel.depth for wheel in vehicle.wheels)
     limits = wheel_limits(vehicle, "start_gap", ca.vertsplit(gaps), 0.0, np.inf)
     model = Dae(
@@ -676,7 +654,7 @@ def planar_start(
         guess=ca.vertcat(0, lowest, ca.SX.zeros(1 + len(free))),
         scale=scale,
         shift=shift,
-        size=extent(vehicle),
+        size=base.extent(vehicle),
         lookups=lookups.lookups,
     )
     forward = turn("x", x.attitude[0]).rotation[1:, 1]
@@ -707,9 +685,9 @@ def standing_start(
         label.name: value
         for label, value in zip(leaves(model.labels.x), leaves(model.x), strict=True)
     }
-    base = platform(still.x, still.y, still.z, still.heading, still.roll, still.pitch)
-    x, y, z, w = ca.vertsplit(quaternion(base.rotation))
-    poses = vehicle.carriers(base, {c.name: values[c.name] for c in vehicle.coordinates})
+    level = platform(still.x, still.y, still.z, still.heading, still.roll, still.pitch)
+    x, y, z, w = ca.vertsplit(quaternion(level.rotation))
+    poses = vehicle.carriers(level, {c.name: values[c.name] for c in vehicle.coordinates})
     if prisms:
         pairs = zip(vehicle.wheels, poses, strict=True)
         gaps = [
@@ -724,7 +702,7 @@ def standing_start(
     if has_exact_closure(vehicle):
         guess = replace(exact_dae(vehicle, terrain, LeastSlip()), limits=(), checks=())
     pose = [still.x, still.y, still.z, w, x, y, z, *joints]
-    states = _rolling_states(vehicle, labels, pose, base.rotation[:, 1], speed)
+    states = _rolling_states(vehicle, labels, pose, level.rotation[:, 1], speed)
     return Standing(model, guess, speed, states)
 
 
@@ -818,8 +796,8 @@ def dynamics(
     frames = tuple(each.touch.frame for each in on_base)
     checks: tuple[SecondContact, ...] = ()
     if not plane_of(terrain):  # a wheel touches a plane only once
-        raised = raised_poses(q.poses, frames, tuple(-each.touch.gap for each in on_base))
-        checks = second_contacts(q._replace(contacts=frames), x, (), raised, extent(vehicle))
+        raised = base.raised_poses(q.poses, frames, tuple(-each.touch.gap for each in on_base))
+        checks = second_contacts(q._replace(contacts=frames), x, (), raised, base.extent(vehicle))
     pairs = [ca.SX.sym("held", each.sparsity()) for each in inertia], inertia
     held_ode, _ = equations_of_motion(moving, contacts, *pairs[0])
     standing: Standing | None = None  # where contacts and springs hold the vehicle
@@ -828,7 +806,7 @@ def dynamics(
         standing = planar_start(still, labels, _contacts(still, prisms, law))
     elif not support_fault(vehicle):
         standing = standing_start(vehicle, terrain, prisms, labels)
-    return vehicle_dae(
+    return base.vehicle_dae(
         q,
         labels,
         x,
@@ -842,7 +820,7 @@ def dynamics(
             *solid_limits(vehicle, wheels),
             *depth_limits(vehicle, law, wheels),
         ),
-        checks=checks if bears else (*checks, *body_checks(q, x, ())),
+        checks=checks if bears else (*checks, *base.body_checks(q, x, ())),
         guess=ca.SX(0, 1),
         pace=ca.SX(0) if plane_of(terrain) and not prisms else _pace(body, moving.u),
         standing=standing,
@@ -852,7 +830,7 @@ def dynamics(
     )
 
 
-def _pace(body: Multibody, u: Inputs) -> ca.SX:
+def _pace(body: Multibody, u: base.Inputs) -> ca.SX:
     """Return the number of `STEP_SHARE` radii that the fastest wheel travels per second [1/s].
 
     The wanted rates of drives count as well, so that the pace is known at a start from rest.
@@ -869,7 +847,7 @@ def _pace(body: Multibody, u: Inputs) -> ca.SX:
 
 def check_dynamic(vehicle: Vehicle) -> None:
     """Raise ModelError if a vehicle cannot be used in dynamics."""
-    check_mass(vehicle, "dynamics")
+    base.check_mass(vehicle, "dynamics")
     for wheel in vehicle.wheels:
         if not (wheel.mass or wheel.inertia or wheel.acting_drive.prescribed):
             raise ModelError(
@@ -909,11 +887,11 @@ def moving_vehicle(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> Moving
     whole = in_space(vehicle, x)
     attitude = ca.vertcat(*x.attitude)
     rotation = turn("x", attitude).rotation if vehicle.planar else rotation_of(attitude)
-    base = Pose(rotation, ca.vertcat(whole.x, x.y, x.z))
+    placed = Pose(rotation, ca.vertcat(whole.x, x.y, x.z))
     rates = ca.vertcat(ca.SX(0, 1), *x.joint_speeds)
     speeds = Speeds(ca.vertcat(*whole.velocity), ca.vertcat(*whole.omega), rates, x.spins)
     names = [c.name for c in vehicle.coordinates]
-    body = multibody(vehicle, base, dict(zip(names, x.joints, strict=True)), speeds)
+    body = multibody(vehicle, placed, dict(zip(names, x.joints, strict=True)), speeds)
     return MovingVehicle(vehicle, terrain, LookupTable(), x, symbols(labels.u), body)
 
 

@@ -46,6 +46,7 @@ from slipfree.core.trajectory import Column, Outcome, Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import Equations, GroundForce, GroundLaw, SlidingContacts, wheel_limits
+from slipfree.models import dynamics
 from slipfree.models.base import (
     ContactPoint,
     Inputs,
@@ -55,24 +56,6 @@ from slipfree.models.base import (
     sizes,
     tangential_components,
     vehicle_dae,
-)
-from slipfree.models.dynamics import (
-    Contact,
-    Contacts,
-    DynamicOutputs,
-    DynamicState,
-    check_dynamic,
-    check_inertia,
-    dynamic_forces,
-    dynamic_labels,
-    dynamic_outputs,
-    dynamics,
-    equations_of_motion,
-    moving_vehicle,
-    quantities,
-    slip_velocity,
-    standing_start,
-    with_depths,
 )
 from slipfree.models.limits import limits_of
 from slipfree.models.multibody import bias_forces, mass_matrix
@@ -91,7 +74,9 @@ class RigidUnknowns(NamedTuple):
     law: Any
 
 
-RigidDae = Dae[DynamicState[ca.SX], RigidUnknowns, Inputs[ca.SX], DynamicOutputs[ca.SX]]
+RigidDae = Dae[
+    dynamics.DynamicState[ca.SX], RigidUnknowns, Inputs[ca.SX], dynamics.DynamicOutputs[ca.SX]
+]
 
 
 @checked
@@ -139,19 +124,20 @@ def rigid_dynamics(
     >>> print(f"{start['load_share'].sum():.2f}")
     4.00
     """
-    check_dynamic(vehicle)
+    dynamics.check_dynamic(vehicle)
     contact.check(vehicle, ground)
     law.check(vehicle, ground)
     check_support(vehicle, "rigid-body dynamics: ")
-    vehicle = with_depths(vehicle)
-    labels = dynamic_labels(vehicle)  # with contact points and the law's unknowns as unknowns
+    vehicle = dynamics.with_depths(vehicle)
+    # with contact points and the law's unknowns as unknowns
+    labels = dynamics.dynamic_labels(vehicle)
     points = tuple(map(ContactPoint, labels.y.contact_x, labels.y.contact_y))
     unknowns = RigidUnknowns(points, law.unknowns(vehicle))
     labels = labels._replace(z=unknowns, y=_without_unknowns(labels.y))
-    moving, z = moving_vehicle(vehicle, ground, labels), symbols(labels.z)
+    moving, z = dynamics.moving_vehicle(vehicle, ground, labels), symbols(labels.z)
     x, body, lookups = moving.x, moving.body, moving.lookups
     matrix = mass_matrix(body)
-    check_inertia(vehicle, labels, x, matrix)
+    dynamics.check_inertia(vehicle, labels, x, matrix)
     touches = list[Touch]()  # at the ground points, with the points of the wheels
     for motion, at in zip(body.wheels, z.contacts, strict=True):
         frame = contact_frame(ground, at.x, at.y, motion.axle, lookups)
@@ -160,7 +146,7 @@ def rigid_dynamics(
         gap = ca.dot(frame.normal, point - frame.point)
         mu = motion.wheel.grip * ground.friction(at.x, at.y, lookups)
         touches.append(Touch(gap, frame._replace(point=point), mu))
-    slips = [slip_velocity(*each) for each in zip(body.wheels, touches, strict=True)]
+    slips = [dynamics.slip_velocity(*each) for each in zip(body.wheels, touches, strict=True)]
     spins = tuple(wheel.spin for wheel in body.wheels)
     frames, share = tuple(each.frame for each in touches), vehicle.weight / len(vehicle.wheels)
     constraints = list[ca.SX]()  # of the contacts, as normal velocities
@@ -186,12 +172,14 @@ def rigid_dynamics(
             touches, reaction.normal, reaction.along, reaction.across, strict=True
         )
     )
-    contacts = [Contact(*each) for each in zip(touches, slips, spins, forces_on, strict=True)]
-    alone = Contacts([(each,) for each in contacts])
-    ode, effort = equations_of_motion(moving, alone, matrix, bias_forces(body))
-    q = quantities(moving, contacts)
-    forces = dynamic_forces(q, alone, x, effort)
-    y = dynamic_outputs(q, body, contacts, alone, forces)
+    contacts = [
+        dynamics.Contact(*each) for each in zip(touches, slips, spins, forces_on, strict=True)
+    ]
+    alone = dynamics.Contacts([(each,) for each in contacts])
+    ode, effort = dynamics.equations_of_motion(moving, alone, matrix, bias_forces(body))
+    q = dynamics.quantities(moving, contacts)
+    forces = dynamics.dynamic_forces(q, alone, x, effort)
+    y = dynamics.dynamic_outputs(q, body, contacts, alone, forces)
     raised = raised_poses(q.poses, frames, tuple(-each.gap for each in touches))
     scale, _ = sizes(vehicle, ground, labels)
     units = [label.unit for label in leaves(labels.z)]
@@ -225,8 +213,8 @@ def rigid_dynamics(
         scale=scale,
         suppress_algebraic=True,
         continuation=reaction.continuation,
-        standing=standing_start(vehicle, ground, (), labels),
-        replay=Replay(dynamics(vehicle, ground, law=contact), own),
+        standing=dynamics.standing_start(vehicle, ground, (), labels),
+        replay=Replay(dynamics.dynamics(vehicle, ground, law=contact), own),
     )
 
 
@@ -235,7 +223,7 @@ def _stays_on_ground(vehicle: Vehicle) -> bool:
     return len(vehicle.of("suspension")) >= len(vehicle.wheels) - 3
 
 
-def _without_unknowns(y: DynamicOutputs) -> DynamicOutputs:
+def _without_unknowns(y: dynamics.DynamicOutputs) -> dynamics.DynamicOutputs:
     """Return the outputs of dynamics without those that are unknowns of rigid dynamics."""
     common = y.common._replace(force_normal=())
     return y._replace(contact_x=(), contact_y=(), common=common)

@@ -24,15 +24,7 @@ from slipfree.files.vehicle_toml import toml_value
 from slipfree.fit.estimate import Unknown, law_constants
 from slipfree.fit.wheel_soil import QUANTITIES, SoilFit, check_constant, fit_soil
 from slipfree.laws.soil import Soil, WheelSize
-from slipfree.models.single_wheel import (
-    WheelCurves,
-    WheelRuns,
-    check_slip,
-    motion_at_slip,
-    single_wheel,
-    slip_of_motion,
-    steady_forces,
-)
+from slipfree.models import single_wheel
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.schema import GRAVITY, FileKeys, Gravity, NamedSoil, soil_of
@@ -153,7 +145,7 @@ class WheelContents(NamedTuple):
     soil: Soil
     size: WheelSize
     gravity: float  # [m/s^2]
-    runs: WheelRuns | None
+    runs: single_wheel.WheelRuns | None
     files: list[Path]  # those read
     problem: Problem[Any]
 
@@ -162,7 +154,7 @@ class WheelTest(NamedTuple):
     """Result of a wheel file."""
 
     file: WheelContents
-    curves: WheelCurves
+    curves: single_wheel.WheelCurves
     errors: dict[str, tuple[int, float, float]]  # points; computed minus measured: rms, mean
 
 
@@ -170,7 +162,7 @@ class FittedWheel(NamedTuple):
     """Result of a fit of a soil to the measured points of a wheel file."""
 
     file: WheelContents
-    runs: WheelRuns
+    runs: single_wheel.WheelRuns
     fit: SoilFit
     priors: dict[str, float]  # deviations of priors, by constant
 
@@ -186,12 +178,12 @@ def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
     spec, soil, size, gravity = file.spec, file.soil, file.size, file.gravity
     low, high = spec.test.slip
     slips = np.linspace(low, high, spec.test.points)
-    curves = single_wheel(
+    curves = single_wheel.single_wheel(
         soil, size, spec.wheel.load, slips, spec.test.slip_angles, gravity=gravity
     )
     errors = {}
     if file.runs is not None:
-        forces = steady_forces(soil, size, file.runs.motion, file.runs.load, gravity)
+        forces = single_wheel.steady_forces(soil, size, file.runs.motion, file.runs.load, gravity)
         for k, name in enumerate(QUANTITIES):
             missed = getattr(forces, name) - file.runs.values[:, k]
             if (known := np.isfinite(missed)).any():
@@ -259,7 +251,7 @@ def read_wheel_file(path: Path, settings: Sequence[str]) -> WheelContents:
     return WheelContents(spec, spec.title or path.stem, soil, size, gravity, runs, files, problem)
 
 
-def _read_measured(path: Path, load: float) -> WheelRuns:
+def _read_measured(path: Path, load: float) -> single_wheel.WheelRuns:
     """Return measured runs of a wheel; missing loads are ``load``, missing quantities NaN."""
     names = read_names(path, "measured points")
     quantities = [name for name in QUANTITIES if name in names]
@@ -275,8 +267,8 @@ def _read_measured(path: Path, load: float) -> WheelRuns:
     first = columns[kinds[0]]
     angle = columns.get("slip_angle", np.zeros_like(first))
     if kinds == ["slip"]:
-        check_slip(first, angle)
-        motion = motion_at_slip(first, angle)
+        single_wheel.check_slip(first, angle)
+        motion = single_wheel.motion_at_slip(first, angle)
     else:
         speed = columns["speed"]
         # exactly zero at a right angle, where the cosine is not
@@ -290,7 +282,7 @@ def _read_measured(path: Path, load: float) -> WheelRuns:
             )
         motion /= largest
     values = [columns.get(name, np.full_like(first, np.nan)) for name in QUANTITIES]
-    return WheelRuns(
+    return single_wheel.WheelRuns(
         motion,
         columns.get("load", np.full_like(first, load)),
         np.column_stack(values),
@@ -325,7 +317,7 @@ def wheel_facts(test: WheelTest) -> Lines:
     return facts
 
 
-def wheel_rows(curves: WheelCurves) -> list[dict[str, float]]:
+def wheel_rows(curves: single_wheel.WheelCurves) -> list[dict[str, float]]:
     """Return the rows of a table of the curves, in SI units; angles in radians."""
     return [
         {"slip_angle": float(angle), "slip": float(slip)}
@@ -335,11 +327,13 @@ def wheel_rows(curves: WheelCurves) -> list[dict[str, float]]:
     ]
 
 
-def measured_points(runs: WheelRuns | None) -> dict[str, tuple[Array, Array, Array, Array]]:
+def measured_points(
+    runs: single_wheel.WheelRuns | None,
+) -> dict[str, tuple[Array, Array, Array, Array]]:
     """Return slip ratios, slip angles [rad], loads [N] and values of the measured quantities."""
     if runs is None:
         return {}
-    slip, angle = slip_of_motion(runs.motion)
+    slip, angle = single_wheel.slip_of_motion(runs.motion)
     return {
         name: (slip, angle, runs.load, runs.values[:, k])
         for k, name in enumerate(QUANTITIES)
@@ -392,7 +386,7 @@ def constant_rows(fit: SoilFit) -> list[dict[str, Any]]:
 def point_rows(fitted: FittedWheel) -> list[dict[str, float]]:
     """Return the rows of a table of the points: measured, and computed before and after."""
     runs, fit = fitted.runs, fitted.fit
-    slip, angle = slip_of_motion(runs.motion)
+    slip, angle = single_wheel.slip_of_motion(runs.motion)
     kinds = {"measured": runs.values, "before": fit.nominal}
     kinds |= {"fitted": fit.fitted, "left_out": fit.validated}
     columns = {"run": runs.run, "slip": slip, "slip_angle": angle, "load": runs.load}

@@ -24,19 +24,8 @@ from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
 from slipfree.geometry.regions import Region
 from slipfree.models.samples import CLOSEST, FramePoses, has_friction, part_poses, wheel_poses
 from slipfree.routing.traversability import extents, nodes_at, traversability
-from slipfree.show import ground_drawing, style
+from slipfree.show import ground_drawing, meshes, style
 from slipfree.show.ground_drawing import Place, Window
-from slipfree.show.meshes import (
-    Surface,
-    extruded,
-    joined,
-    plate,
-    rod,
-    roller_axles,
-    shape_mesh,
-    spokes,
-    surface,
-)
 from slipfree.show.style import FLAT, STEEP
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
@@ -475,7 +464,7 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
     else:
         drawn = Grid(x, y, z)
     ways = [np.stack([run["x"], run["y"]], axis=1) for run in _runs(drives)]
-    fine = surface(drawn, first.terrain, ways, NEXT * reach, FINE * reach)
+    fine = meshes.surface(drawn, first.terrain, ways, NEXT * reach, FINE * reach)
     origin = np.round([x.mean(), y.mean(), drawn.values.mean()])
     poses = [_pose_layer(drawn, first, window)] if with_poses else []
     low, high = float(drawn.values.min()), float(drawn.values.max())
@@ -503,7 +492,7 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
             corners, (right, left) = found
             away = np.array([prism.x, prism.y, prism.z]) - origin
             outline = np.insert(corners, 1, right, axis=1) @ prism.axes.T + away
-            solids.append(extruded(outline, (left - right) * prism.axes[:, 1]))
+            solids.append(meshes.extruded(outline, (left - right) * prism.axes[:, 1]))
     shade = fine.interpolated(ground_drawing.brightness(x, y, drawn.z).reshape(-1, 1)).ravel()
     closest = list[Lines]()  # vertical lines where bodies came closest to the ground
     if places := [each.run.facts[CLOSEST] for each in drives if CLOSEST in each.run.facts]:
@@ -514,7 +503,7 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
     lines = (*map_lines(drawn, first.terrain, window, origin, reach), *closest, *plan)
     gray = np.tile(np.array(BLOCKED, np.uint8), (sum(len(each.vertices) for each in solids), 1))
     ground = SceneGround(
-        joined(fine.mesh(origin), *solids),
+        meshes.joined(fine.mesh(origin), *solids),
         tuple(each._replace(colors=np.concatenate([each.colors, gray])) for each in layers),
         np.append(shade, np.ones(len(gray))),
         lines,
@@ -651,9 +640,9 @@ def _actor(
     parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
     bodies = [*_part_bodies(vehicle, parts, wheels, color)]
     for number, wheel in enumerate(vehicle.wheels):
-        looks = [(wheel.section.mesh(), TYRE), (spokes(wheel.radius * 0.97), color)]
+        looks = [(wheel.section.mesh(), TYRE), (meshes.spokes(wheel.radius * 0.97), color)]
         if wheel.rollers:
-            looks.append((roller_axles(wheel.radius, wheel.rollers), color))
+            looks.append((meshes.roller_axles(wheel.radius, wheel.rollers), color))
         pose = wheels.origins[:, number], wheels.rotations[:, number]
         bodies.append(SceneBody(wheel.name, tuple(looks), *pose))
     if drive.robot is not None and drive.visuals and not ghost:
@@ -706,15 +695,15 @@ def _part_bodies(
                 places = np.einsum("nji,nj->ni", rotations, away)
                 ends += [places.min(axis=0), places.max(axis=0)]
         thick = ROD * radius
-        meshes = [rod(np.zeros(3), end, thick) for end in ends if np.linalg.norm(end) > thick]
+        forms = [meshes.rod(np.zeros(3), end, thick) for end in ends if np.linalg.norm(end) > thick]
         shapes = [shape for part, shape in vehicle.shapes if part == name]
-        meshes += map(shape_mesh, shapes)
+        forms += map(meshes.shape_mesh, shapes)
         if name in spans and not vehicle.shapes:
             away = wheels.origins[0] - origins[0]
             half = NARROW * float(np.abs((away @ rotations[0])[:, 0]).max())
-            meshes.append(plate(half, *spans[name], PLATE * radius))
-        if meshes or name == "platform":  # which is the first body, as the path is its path
-            looks = ((joined(*meshes), color),) if meshes else ()
+            forms.append(meshes.plate(half, *spans[name], PLATE * radius))
+        if forms or name == "platform":  # which is the first body, as the path is its path
+            looks = ((meshes.joined(*forms), color),) if forms else ()
             yield SceneBody(name, looks, origins, rotations)
 
 
@@ -796,7 +785,7 @@ def ground_normals(terrain: Bicubic, points: Array) -> Array:
     return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
 
 
-def _off(drives: Sequence[Driven], fine: Surface, least: float) -> Iterable[str]:
+def _off(drives: Sequence[Driven], fine: meshes.Surface, least: float) -> Iterable[str]:
     """Yield a note on the vertical distance of the drawn ground from the contact points."""
     off = max(
         float(np.abs(fine.height(x, y) - drive.terrain.elevation(x, y)).max())

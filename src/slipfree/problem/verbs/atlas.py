@@ -16,19 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from slipfree.atlas.atlas import (
-    HEADINGS,
-    PROVED,
-    TOLERANCE,
-    Atlas,
-    Band,
-    PoseEvaluator,
-    bands_of,
-    least_bounds,
-    pose_evaluator,
-    tile_of,
-    tiles_of,
-)
+from slipfree.atlas import atlas
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError
 from slipfree.core.facts import Fact, Lines, lines, rows
@@ -102,13 +90,13 @@ class AtlasTable(Record):
         its result is cached.
     """
 
-    headings: Annotated[int, Field(ge=1, le=MAX_HEADINGS)] = HEADINGS
+    headings: Annotated[int, Field(ge=1, le=MAX_HEADINGS)] = atlas.HEADINGS
     every: Annotated[int, Field(ge=1)] = 1
     error: Positive | None = None
     guarantee: Positive | None = None
     within: dict[str, Range] = Field(default={})
     speed: float = 0.0
-    tolerance: Annotated[float, Field(gt=0, le=0.1)] = TOLERANCE
+    tolerance: Annotated[float, Field(gt=0, le=0.1)] = atlas.TOLERANCE
     compiled: bool = True
 
 
@@ -161,7 +149,7 @@ class AtlasSetup(World):
     @property
     def tiles(self) -> list[tuple[slice, slice]]:
         """Tiles of the map, in the order of the file."""
-        return list(tiles_of(self.x.size, self.y.size))
+        return list(atlas.tiles_of(self.x.size, self.y.size))
 
     @property
     def elevation(self) -> Array | Elevation:
@@ -226,12 +214,12 @@ class AtlasSetup(World):
         """Return the labels of the bands, in their order."""
         table, poses = self.problem.spec.atlas, self.poses(compiled=compiled)
         options = {"error": table.error, "guarantee": table.guarantee}
-        return bands_of(poses, **options, is_moving=bool(self.inputs))
+        return atlas.bands_of(poses, **options, is_moving=bool(self.inputs))
 
-    def poses(self, *, compiled: bool = True) -> PoseEvaluator:
+    def poses(self, *, compiled: bool = True) -> atlas.PoseEvaluator:
         """Return the evaluators of the poses."""
         table = self.problem.spec.atlas
-        return pose_evaluator(
+        return atlas.pose_evaluator(
             self.model, with_corners=table.error is not None, compiled=compiled and table.compiled
         )
 
@@ -241,12 +229,12 @@ class AtlasSetup(World):
         args = self.heading, self.inputs, table.error, table.tolerance, table.guarantee
         poses, ground = self.poses(), self.terrain
         if not isinstance(ground, PagedBicubic):
-            return tile_of(poses, x, y, *args)
+            return atlas.tile_of(poses, x, y, *args)
         shape = self.heading.size, x.size, y.size
         found: dict[str, Array] = {name: np.empty(shape, np.float32) for name in self.labels()}
         for a, b in parts_of(x.size, y.size, table.every):
             load_around(ground, x[a], y[b], self.vehicle)
-            for name, values in tile_of(poses, x[a], y[b], *args).items():
+            for name, values in atlas.tile_of(poses, x[a], y[b], *args).items():
                 found[name][:, a, b] = values
         return found
 
@@ -358,20 +346,21 @@ class TileFolder(ProblemParts[Array]):
         setup = self._setup
         for number, (i, j) in enumerate(setup.tiles, 1):
             values = zip(self._labels.items(), np.load(self.file(number)), strict=True)
-            bands = {name: Band(label, each) for (name, label), each in values}
-            yield i, j, Atlas(setup.x[i], setup.y[j], setup.heading, bands, self._reasons)
+            bands = {name: atlas.Band(label, each) for (name, label), each in values}
+            yield i, j, atlas.Atlas(setup.x[i], setup.y[j], setup.heading, bands, self._reasons)
 
-    def whole(self) -> Atlas:
+    def whole(self) -> atlas.Atlas:
         """Return the poses of all tiles."""
         setup = self._setup
         shape = setup.heading.size, setup.x.size, setup.y.size
         bands = {
-            name: Band(label, np.empty(shape, np.float32)) for name, label in self._labels.items()
+            name: atlas.Band(label, np.empty(shape, np.float32))
+            for name, label in self._labels.items()
         }
         for i, j, tile in self.tiles():
             for name, band in bands.items():
                 band.values[:, i, j] = tile[name]
-        return Atlas(setup.x, setup.y, setup.heading, bands, self._reasons)
+        return atlas.Atlas(setup.x, setup.y, setup.heading, bands, self._reasons)
 
 
 def run_tiles(setup: AtlasSetup, folder: TileFolder, workers: Workers, watch: PartsWatch) -> None:
@@ -408,7 +397,7 @@ def overview(x: Array, y: Array, site: Site, tiles: Tiles) -> tuple[AtlasView, d
 
     step = max(1, -(-max(x.size, y.size) // DRAWN))
     shape = -(-x.size // step), -(-y.size // step)
-    maps, reasons = dict[str, Band](), tuple[str, ...]()
+    maps, reasons = dict[str, atlas.Band](), tuple[str, ...]()
     counts: Array = np.zeros(1)
     least, wide = np.zeros(3), 0  # nodes where all, some and no headings are allowed
     proved = np.zeros(2)  # poses with proved bounds, and those that stand
@@ -419,15 +408,15 @@ def overview(x: Array, y: Array, site: Site, tiles: Tiles) -> tuple[AtlasView, d
         counts = counts + codes  # all tiles have the same reasons
         share = found.allowed
         least += [(share == 1).sum(), ((share > 0) & (share < 1)).sum(), (share == 0).sum()]
-        if (bounds := least_bounds(poses)) is not None:
+        if (bounds := atlas.least_bounds(poses)) is not None:
             low, high = (poses[label.name] for label in bounds)
             wide += int((high - low > WIDE).sum())
-        if PROVED.name in poses.bands:
-            proved += [(poses[PROVED.name] == 1).sum(), poses.stands.sum()]
+        if atlas.PROVED.name in poses.bands:
+            proved += [(poses[atlas.PROVED.name] == 1).sum(), poses.stands.sum()]
         a, b = (slice(-each.start % step, None, step) for each in (i, j))
         for name, (label, values) in drawn.items():
             if name not in maps:
-                maps[name] = Band(label, np.full(shape, np.nan, dtype=np.float32))
+                maps[name] = atlas.Band(label, np.full(shape, np.nan, dtype=np.float32))
             part = values[a, b]
             at = [-(-each.start // step) for each in (i, j)]
             maps[name].values[at[0] : at[0] + part.shape[0], at[1] : at[1] + part.shape[1]] = part
