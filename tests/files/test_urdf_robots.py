@@ -26,7 +26,7 @@ from helpers.urdf import (
 )
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.control.path_following import straight
-from slipfree.problem.build_vehicle import VehicleError, read_vehicle
+from slipfree.problem.build_vehicle import VehicleError, guessed_completion, read_vehicle
 from slipfree.problem.report import describe
 from slipfree.vehicle.sections import Omni, Sphere
 
@@ -257,6 +257,9 @@ def test_wheels_with_the_name_of_mecanum_wheels_have_the_usual_rollers(tmp_path)
     assert lines[0] == "wheels.front_left_mecanum_joint = { rollers = false }"
     plain = read_vehicle(written(tmp_path, parts, lines[0]))
     assert roller_angles(plain) == X_ON_TOP | {"front_left": None}
+    omni = written(tmp_path, parts.replace("mecanum", "omni"))
+    line = '; otherwise wheels.rear_left_omni_joint = { rollers = "-45 deg" }'
+    assert f"without rollers, in spite of its name{line}" in guessed_completion(omni, tmp_path)
     mesh = '<visual><geometry><mesh filename="package://a/mecanum.stl"/></geometry></visual>'
     parts = corners(lambda name, at: wheel(name, at, WHEEL + mesh))
     assert roller_angles(read_vehicle(written(tmp_path, parts))) == X_ON_TOP

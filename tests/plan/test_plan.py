@@ -120,10 +120,7 @@ def test_a_pose_a_way_point_and_a_range_of_durations():
         ({"cost_limits": {"effort": 0.0}}, "cost_limits.'effort'.: expected a number > 0"),
         ({"duration": 0.0}, "expected a positive, finite duration"),
         ({"limits": {"steer": (1.0, -1.0)}}, "steer.*: expected ascending bounds, found 1.0 to"),
-        (
-            {"costs": [TWO]},
-            r"two: expected a scalar .* shape \(2, 1\); give",
-        ),
+        ({"costs": [TWO]}, r"two: expected a scalar .* shape \(2, 1\); give"),
         ({"way_points": {1.0: {"x": 0.0}}}, "way_points: expected fractions of the duration above"),
         ({"accelerations": {"x": (0, 1)}}, "inputs: expected one of right_rate, .* found 'x'"),
     ],

@@ -12,6 +12,7 @@ import typer
 from slipfree.cli import console, outputs
 from slipfree.cli.console import Draw, Processes, Scheduler, Settings, Trust, output_option
 from slipfree.core.errors import DataError
+from slipfree.core.facts import as_attributes, guesses
 
 UNBOUNDED = "1e99"  # bound that no quantity reaches
 ENDINGS = (".tif", ".tiff", ".nc")
@@ -105,7 +106,8 @@ def atlas(
     earlier = ", which replaces the earlier file" * outs[0].exists()
     with console.as_arguments():
         setup = verb.build_atlas(problem)
-    console.print_facts(setup.facts, main=[setup.facts[0], setup.facts[-1]])
+    main = [setup.facts[0], setup.facts[-1], *guesses(as_attributes(setup.facts))]
+    console.print_facts(setup.facts, main=main)
     for words in setup.warnings:
         console.warn(words)
     with verb.TileFolder(outs[0], setup, states) as tiles:

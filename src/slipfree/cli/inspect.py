@@ -13,7 +13,7 @@ import typer
 from slipfree.cli import console, outputs
 from slipfree.cli.console import BAD_INPUT, Draw, File, Force, ResultFile, Settings, Trust
 from slipfree.core.errors import DataError
-from slipfree.core.facts import TableColumn
+from slipfree.core.facts import TableColumn, of_attributes
 
 OK = "ok", "no errors found"
 
@@ -173,10 +173,8 @@ def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] =
             typer.echo(console.visible(text) if sys.stdout.isatty() else text, nl=False)
             return
         facts, summary = facts_of(motion)
-        lines = [(name.replace("_", " "), value) for name, value in attributes.items()]
-        console.print_facts(
-            [outcome_fact(motion), *summary, *(each for each in lines if each not in summary)]
-        )
+        lines = (each for each in of_attributes(attributes) if each not in summary)
+        console.print_facts([outcome_fact(motion), *summary, *lines])
         if go_on := outputs.resume_command(motion, file):
             console.print_line(f"to resume: {go_on}")
         console.add_json("outcome", motion.outcome.name.lower)

@@ -75,11 +75,7 @@ class Touch(NamedTuple):
 
 
 def touch(
-    terrain: Terrain,
-    wheel: Wheel,
-    carrier: Pose,
-    search: ca.Function | Plane,
-    lookups: LookupTable,
+    terrain: Terrain, wheel: Wheel, carrier: Pose, search: ca.Function | Plane, lookups: LookupTable
 ) -> Touch:
     """Return the contact of a wheel with a ground.
 

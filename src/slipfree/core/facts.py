@@ -219,3 +219,30 @@ def in_short(facts: Lines) -> Lines:
     shown += [f"tree of parts, and all notes in full, with {file}: slipfree vehicle FILE -v"]
     others = [each for each in facts if each[0] != NOTE]
     return others + [(NOTE, text) for text in shown * bool(notes)]
+
+
+def guesses(attributes: Mapping[str, str]) -> Lines:
+    """Return the line with the choices that the reader made about a vehicle, without its parts."""
+    notes = attributes.get(NOTE.replace(" ", "_"), "").split("\n")
+    choices = [note.partition("; otherwise")[0] for note in notes if "; otherwise" in note]
+    made = [choice.removeprefix("guessed ").rpartition(": ")[0] for choice in choices]
+    text = f"guessed {'; '.join(made[:MAX_LISTED])}; all with their reasons: slipfree check"
+    return [(NOTE, text)] * bool(made)
+
+
+def as_attributes(facts: Lines) -> dict[str, str]:
+    """Return facts as attributes of a file; one with several lines if names are the same."""
+    texts = dict[str, str]()
+    for name, text in facts:
+        key = name.replace(" ", "_")
+        texts[key] = f"{texts[key]}\n{text}" if key in texts else text
+    return texts
+
+
+def of_attributes(attributes: Mapping[str, str]) -> Lines:
+    """Return attributes of a file as facts, one for each line of a text."""
+    return [
+        (name.replace("_", " "), line)
+        for name, text in attributes.items()
+        for line in text.split("\n")
+    ]

@@ -261,8 +261,11 @@ def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) 
     kind = error["type"]
     found = "none" if kind == "missing" else format_value(error["input"])
     if kind == "extra_forbidden":
-        record = record_at(schema, place[:-1], data)
-        return _unknown(place, record.known_keys())
+        record, name = record_at(schema, place[:-1], data), place[-1]
+        tables = record_at(schema, (), data).model_fields.items()
+        parts = ((table, part) for table, key in tables for part in _records(key.annotation))
+        owners = sorted({f"[{table}]" for table, part in parts if name in part.model_fields})
+        return _unknown(place, record.known_keys(), record.foreign.get(name) or owners)
     if kind == "missing" and isinstance(place[-1], int):
         return Fault(place, "a number", found)
     if kind == "missing":
@@ -289,11 +292,13 @@ def _meaning(schema: type[BaseModel], place: Place, data: Any) -> str:
     return f" ({words})" if 0 < len(words) <= MAX_MEANING else ""
 
 
-def _unknown(place: Place, known: Sequence[str]) -> Fault:
-    """Return the error of an unknown key."""
+def _unknown(place: Place, known: Sequence[str], owners: Sequence[str] = ()) -> Fault:
+    """Return the error of an unknown key; ``owners`` have such a key."""
     name = str(place[-1])
     expected = f"one of {listed(known)}" if known else "no key"
-    return Fault(place, expected, f"the unknown key {shortened(name, 40)!r}", similar(name, known))
+    owner = f", a key of {' and '.join(owners)}; move it" if owners else ""
+    found = f"the unknown key {shortened(name, 40)!r}{owner}"
+    return Fault(place, expected, found, "" if owner else similar(name, known))
 
 
 def record_at(schema: type[Any], place: Place, data: Any) -> type[Any]:
@@ -465,6 +470,8 @@ class Record(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
     alternatives: ClassVar[tuple[str, ...]] = ()
     """Keys of which a table must have exactly one."""
+    foreign: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """Keys of other files, and these files in words."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:

@@ -59,9 +59,9 @@ class Guess(NamedTuple):
 
     @property
     def toml(self) -> str:
-        """Line with the guessed values, to insert in the table of the guess or at the top level."""
+        """Line with the guessed values, to insert at the top level."""
         if self.table:
-            return f"{toml_key(self.name)} = {toml_value(self.values)}"
+            return toml_line(self.table, self.name, **self.values)
         return ", ".join(f"{key} = {toml_value(value)}" for key, value in self.values.items())
 
 

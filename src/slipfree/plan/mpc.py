@@ -32,13 +32,7 @@ from slipfree.plan.polynomial_motion import (
     unknowns_of,
 )
 from slipfree.plan.sqp import StepSolver
-from slipfree.plan.transcription import (
-    CollocationMesh,
-    PlanTask,
-    Program,
-    completed,
-    transcribe,
-)
+from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, completed, transcribe
 from slipfree.plan.verification import inputs_along
 from slipfree.solve.sampling import same_turn
 from slipfree.solve.simulate import simulate

@@ -247,9 +247,7 @@ def variable_layout(
     return VariableLayout(np.arange(n_x), inputs, states, unknowns, duration)
 
 
-def _split(
-    task: PlanTask,
-) -> tuple[dict[tuple[str, int], tuple[float, float]], list[Limit]]:
+def _split(task: PlanTask) -> tuple[dict[tuple[str, int], tuple[float, float]], list[Limit]]:
     """Return bounds of single states and unknowns, by record and index, and all other limits."""
     simple: dict[tuple[str, int], tuple[float, float]] = {}
     rows = []

@@ -46,6 +46,8 @@ from slipfree.vehicle.tree import Vehicle, actuated, in_gravity
 # values of arguments of xacro that cannot contain programs or names of files in other folders
 HARMLESS = re.compile(r"[\w .,+-]*", re.ASCII)
 
+TABLES = "", "wheels", "joints"  # of guesses, in the order of a file
+
 
 class VehicleFile(NamedTuple):
     """Contents of a vehicle file: the vehicle, and the URDF from which it was read, if any."""
@@ -151,19 +153,18 @@ def guessed_completion(path: Path, folder: Path, trust: Sequence[Path] = ()) -> 
             f"{path}: expected a URDF or xacro file with --write, found another kind of file; "
             "name a URDF, or omit --write"
         )
-    tables: dict[str, dict[str, Guess]] = {"": {}, "wheels": {}, "joints": {}}
+    guesses = dict[tuple[str, str], Guess]()
     for guess in _draft(path, xacro.trusted_paths(trust))[0].guesses:
-        known = tables[guess.table].get(guess.name)
+        known, reason = guesses.get(guess[:2]), guess.reason
+        reason += f"; otherwise {guess.other}" if guess.other else ""
         if known is not None:
-            values, reason = {**known.values, **guess.values}, f"{known.reason}; {guess.reason}"
-            guess = guess._replace(values=values, reason=reason)
-        tables[guess.table][guess.name] = guess
+            guess = guess._replace(values={**known.values, **guess.values})
+            reason = f"{known.reason}; {reason}"
+        guesses[guess[:2]] = guess._replace(reason=reason)
     name = Path(os.path.relpath(path, folder)).as_posix()
     lines = [f"urdf = {json.dumps(name, ensure_ascii=False)}"]
-    for table, guesses in tables.items():
-        if guesses:
-            head = ["", f"[{table}]"] if table else [""]
-            lines += [*head, *(f"{guess.toml}  # {guess.reason}" for guess in guesses.values())]
+    ordered = sorted(guesses.values(), key=lambda guess: TABLES.index(guess.table))
+    lines += [f"{guess.toml}  # {guess.reason}" for guess in ordered]
     return "\n".join(lines) + "\n"
 
 

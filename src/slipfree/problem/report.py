@@ -13,7 +13,7 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.facts import NOTE, Lines, lines, printed_unit
+from slipfree.core.facts import NOTE, Lines, lines, of_attributes, printed_unit
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import FIGURE_SAMPLES, Trajectory, outcome_words
 from slipfree.core.version import __version__
@@ -120,11 +120,8 @@ def atlas_lines(file: Path) -> tuple[Lines, Lines, AtlasView]:
 
 def _set_up(attributes: Mapping[str, str]) -> Lines:
     """Return the attributes of a result that other sections do not report."""
-    return [
-        (name.replace("_", " "), text)
-        for name, text in attributes.items()
-        if name not in ELSEWHERE and not name.endswith(VERSION)
-    ]
+    own = {n: text for n, text in attributes.items() if n not in ELSEWHERE and VERSION not in n}
+    return of_attributes(own)
 
 
 def _versions(file: Path, attributes: Mapping[str, str]) -> Lines:

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
-from slipfree.core.facts import Fact, Lines, lines
+from slipfree.core.facts import Fact, Lines, as_attributes, lines
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Outcome, Stop, Trajectory, thin
 from slipfree.files.controller import ControllerCode, export_controller
@@ -147,7 +147,7 @@ def result_of(
         "problem": source.text,
         **(settings if source.settings else {}),
         **verb.attributes(problem, setup),
-        **{name.replace(" ", "_"): words for name, words in setup.facts},
+        **as_attributes(setup.facts),
     }
     own = {name: escape_name(text) for name, text in own.items()} | {STORED: world} | further
     run = replace(run, attributes={**run.attributes, **own})

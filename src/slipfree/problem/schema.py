@@ -18,6 +18,8 @@ from slipfree.control import step_climbing
 from slipfree.core.errors import ModelError
 from slipfree.core.trajectory import Frame
 from slipfree.files import toml
+from slipfree.files.urdf.tree import UrdfTable
+from slipfree.files.vehicle_toml import VehicleTable
 from slipfree.geometry.regions import Region
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.coulomb import Coulomb
@@ -365,6 +367,10 @@ class VehicleSource(toml.Record):
     file: Annotated[str, Field(min_length=1)] | None = None
     actuated: Annotated[tuple[str, ...], Field(strict=False)] = ()
     alternatives = "catalog", "file"
+    foreign = dict.fromkeys(
+        (*VehicleTable.model_fields, *UrdfTable.model_fields, "driven", "rollers"),
+        ("a vehicle file, as slipfree vehicle FILE.urdf --write NAME.toml makes one",),
+    )
 
     @classmethod
     def schema_for(cls, data: Any) -> type[toml.Record]:

@@ -549,10 +549,7 @@ def _search(layers: Traversability, start: Array, goal: Array) -> Array:
     return np.asarray(points[fresh])
 
 
-REMEDIES = {
-    "edge": "use a larger map",
-    "keep_out": "make the keep-out region smaller",
-}
+REMEDIES = {"edge": "use a larger map", "keep_out": "make the keep-out region smaller"}
 Ends = tuple[tuple[int, int], tuple[int, int]]  # nodes
 
 

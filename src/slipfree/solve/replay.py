@@ -95,11 +95,7 @@ def _known_unknowns(dae: Dae, start: Trajectory) -> Array:
 
 
 def round_trip(
-    dae: Dae,
-    run: Trajectory,
-    names: Sequence[str],
-    *,
-    options: SolverOptions = SolverOptions(),
+    dae: Dae, run: Trajectory, names: Sequence[str], *, options: SolverOptions = SolverOptions()
 ) -> dict[str, float]:
     """Return the differences between unknowns of a model and of a motion under the same inputs.
 

@@ -439,9 +439,7 @@ def _loaded(function: bytes) -> Model:
     return model
 
 
-def _execute_part(
-    task: tuple[bytes, _Common, Callable[..., _Results], Array],
-) -> _Results:
+def _execute_part(task: tuple[bytes, _Common, Callable[..., _Results], Array]) -> _Results:
     function, common, execute, numbers = task
     found = execute(common._replace(model=_loaded(function)), np.arange(numbers.size))
     return [(numbers[k], each) for k, each in found]

@@ -465,10 +465,7 @@ MAX_FAILURES = 3  # number of printed failures
 MAX_VALUES = 10  # number of printed values of a key
 MAX_CHARACTERS = 300  # longest text of a run in the table; the log has the complete text
 WITHIN_LIMITS = "within_limits"  # metric of plans: 1 if they satisfy their limits
-REMEDIES = {
-    FAILED: "--again repeats runs that failed",
-    LOST: "the same command repeats lost runs",
-}
+REMEDIES = {FAILED: "--again repeats runs that failed", LOST: "the same command repeats lost runs"}
 
 
 def write_table(file: Path, sweep: Sweep, rows: Rows) -> None:

@@ -32,13 +32,7 @@ from slipfree.files.urdf.evidence import (
     wheel_evidence,
 )
 from slipfree.files.urdf.links import wheel_name
-from slipfree.files.urdf.meshes import (
-    MeshFiles,
-    angles_to,
-    mesh_shape,
-    unit_factor,
-    unit_words,
-)
+from slipfree.files.urdf.meshes import MeshFiles, angles_to, mesh_shape, unit_factor, unit_words
 from slipfree.files.urdf.tree import (
     MAX_ECCENTRICITY,
     STEEP,
@@ -67,7 +61,6 @@ from slipfree.geometry.frame import ORIGIN, Vector, tensor, unit_vector
 from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.tree import Wheel
 
-OMNI_ANGLE = "90 deg"  # angle of the rollers of omni wheels
 MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
 MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its centre are reported [m]
 RIGHT = (0.0, -1.0, 0.0)
@@ -154,6 +147,9 @@ class Wheels:
             self.tree, [wheel for wheel in self.joints if wheel.name not in self.balls]
         )
         self._check_radii()
+        for joint in bare:
+            if OMNI.search(joint.names) and self._role(joint).rollers is None:
+                self._add_guess(joint, wheel_evidence(WheelRole(rollers=False), "bare"))
 
     def _role(self, joint: UrdfJoint) -> WheelRole:
         return self._given.get(joint.name, WheelRole())
@@ -240,13 +236,12 @@ class Wheels:
             other = partial(toml_line, "wheels", radius=radius) if radius else None
             self._findings.note(message, dict(wheels), other)
         radii = [radius for radius in map(self._rolling_radius, self.joints) if radius]
-        off, bare, thin = list[str](), list[str](), list[str]()
+        off, thin = list[str](), list[str]()
         for joint in self.joints:
             shape, role = self._shape(joint), self._role(joint)
             link, at = self.tree.links[joint.child], shape.at if shape else ORIGIN
             is_flat = shape is not None and shape.kind != "sphere" and not shape.tube
             off += [joint.name] * bool(link.mass and math.dist(link.center, at) > MASS_OFFSET)
-            bare += [joint.name] * bool(OMNI.search(joint.names) and role.rollers is None)
             thin += [joint.name] * (is_flat and role.tube is None and not self._roles.tube)
         note, known = self._findings.note, {*self._roles.joints, *self.gears}
         on_wheels = {
@@ -280,11 +275,6 @@ class Wheels:
         }
         self._findings.notes += plugin_contradictions(self.tree, places)
         note("centre of mass moved from the inertial's origin to the wheel's centre", off)
-        note(
-            "without rollers, in spite of their names",
-            bare,
-            partial(toml_line, "wheels", rollers=OMNI_ANGLE),
-        )
         note(
             "no wheels in spite of their names",
             unused,
@@ -343,7 +333,8 @@ class Wheels:
             values = {"tube": shape.tube, **values}
         other = toml_line("joints", name, kind="fixed") if len(self.joints) > 3 else ""
         if role.rollers is not None:
-            other = toml_line("wheels", name, rollers=False if role.rollers else OMNI_ANGLE)
+            slant = angle_text(roller_angles(self.tree, self.joints).get(name, np.pi / 2))
+            other = toml_line("wheels", name, rollers=False if role.rollers else slant)
         if values.get("rollers"):
             values["rollers"] = angle_text(values["rollers"])
         if values:
@@ -886,23 +877,29 @@ def _roller_angle(rollers: Sequence[UrdfJoint], axis: Array) -> float | bool:
 
 
 def mecanum_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, Evidence]]:
-    """Yield the wheels called mecanum wheels, also by meshes, with the usual angles of rollers.
-
-    The URDF faces forward along x. The rollers on top of the wheels form an X.
-    """
+    """Yield the wheels called mecanum wheels, also by meshes, with the usual angles of rollers."""
     named: list[UrdfJoint] = []
     for joint in wheels:
         link, drive = tree.links[joint.child], tree.drives.get(joint.name)
         meshes = (each for each in (*link.meshes, *link.visuals) if isinstance(each, MeshFile))
         words = [joint.names, *(mesh.name for mesh in meshes)]
         named += [joint] * bool(MECANUM.search(" ".join([*words, drive.name if drive else ""])))
-    if not named:
-        return
-    places = np.array([tree.frames[joint.child][1][:2] for joint in named])
-    for joint, (ahead, left) in zip(named, places - places.mean(axis=0), strict=True):
-        if min(abs(ahead), abs(left)) > SMALL:
-            angle = float(np.copysign(np.pi / 4, ahead * left))
-            yield joint.name, wheel_evidence(WheelRole(rollers=angle), "mecanum")
+    for name, angle in roller_angles(tree, named).items():
+        yield name, wheel_evidence(WheelRole(rollers=angle), "mecanum")
+
+
+def roller_angles(tree: Tree, wheels: Sequence[UrdfJoint]) -> dict[str, float]:
+    """Return the usual angles of rollers of mecanum wheels by joint, those at corners [rad].
+
+    The URDF faces forward along x. The rollers on top of the wheels form an X.
+    """
+    places = np.array([tree.frames[joint.child][1][:2] for joint in wheels])
+    offsets = places - places.mean(axis=0) if wheels else places
+    return {
+        joint.name: float(np.copysign(np.pi / 4, ahead * left))
+        for joint, (ahead, left) in zip(wheels, offsets, strict=True)
+        if min(abs(ahead), abs(left)) > SMALL
+    }
 
 
 def wheel_guesses(

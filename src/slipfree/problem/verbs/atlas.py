@@ -19,7 +19,7 @@ from pydantic import Field
 from slipfree.atlas import atlas
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError
-from slipfree.core.facts import Fact, Lines, lines, rows
+from slipfree.core.facts import Fact, Lines, as_attributes, lines, rows
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import Frame, heading_column
 from slipfree.files.atlas_files import EMPTY, Site, Tiles, write_atlas, write_geotiff
@@ -160,13 +160,13 @@ class AtlasSetup(World):
     @property
     def site(self) -> Site:
         """Ground and conditions for the files of the map."""
-        spec, source, facts = self.problem.spec, self.problem.source, dict(self.facts)
+        spec, source = self.problem.spec, self.problem.source
         settings = "\n".join(dict.fromkeys(source.settings.values()))
         words = {
             "title": spec.title or f"Mobility of {self.vehicle.name}",
             **({"problem": source.text} if source.text else {}),
             **({"settings": settings} if settings else {}),
-            **{name.replace(" ", "_"): text for name, text in facts.items()},
+            **as_attributes(self.facts),
         }
         friction = None if self.ground.mu is None else 1.0  # bounds on a map are relative to it
         if isinstance(self.ground.mu, float | int):  # at the wheel with the best grip

@@ -19,7 +19,7 @@ import numpy as np
 from typing_extensions import TypeVar
 
 from slipfree.core.errors import DataError
-from slipfree.core.facts import Fact, Facts, Lines, Row, lines, named_rows, rows
+from slipfree.core.facts import Fact, Facts, Lines, Row, guesses, lines, named_rows, rows
 from slipfree.core.quantities import QUANTITIES, extremes, joint_angles
 from slipfree.core.records import Array, HtmlRepr, leaves
 from slipfree.core.trajectory import Outcome, Stop, Trajectory, outcome_words, path_length
@@ -391,7 +391,8 @@ class DriveVerb(Verb, ABC):
         omitted = {"contact certificate"} if certificate.startswith("clean") else set[str]()
         omitted |= {"friction"} if "friction_utilisation_largest" in facts else set()
         main_rows = (row for row in self.rows if row.is_main and row.name not in omitted)
-        return lines(main_rows if main else self.rows, values_of(run, facts))
+        shown = lines(main_rows if main else self.rows, values_of(run, facts))
+        return shown + guesses(run.attributes) * main
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
         """Return warnings about a motion; none by default."""
