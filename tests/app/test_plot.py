@@ -179,7 +179,6 @@ def test_path_marks_start_and_end(run, ax):
     np.testing.assert_array_equal(line.get_xydata(), np.column_stack([run["x"], run["y"]]))
     assert start.get_xydata()[0] == pytest.approx([run["x"][0], run["y"][0]])
     assert end.get_xydata()[0] == pytest.approx([run["x"][-1], run["y"][-1]])
-    drawn(ax.figure)
 
 
 def test_tilts_and_moving_joints_are_drawn_with_degrees(run, grid):

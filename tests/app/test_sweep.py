@@ -518,8 +518,7 @@ def test_a_table_of_each_key_has_short_values_and_bold_best_ones(monkeypatch, ca
     swept = _swept([thirds], [[1.0, np.nan], [2.0, 3.0], [np.nan, np.nan]])
     _print_metrics([swept])
     head, rule, *told = capsys.readouterr().out.splitlines()[1:]
-    assert re.split("  +", head) == ["driver.speed [m/s]", "slip_rms [m/s]"]
-    assert {*rule} == {"-", " "}
+    assert ({*rule}, head.split("  ")[0]) == ({"-", " "}, "driver.speed [m/s]")
     rows = ["0.08667", "1"], ["0.2", "2.5 (2 to 3)"], ["0.3", "-"], ["all runs", "2 (1 to 3)"]
     assert [re.split("  +", line) for line in told] == [*rows]
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
@@ -536,7 +535,7 @@ def test_a_curve_with_its_spread():
     np.testing.assert_array_equal(mean.get_xdata(), [0.5, 1.0, 2.0])
     np.testing.assert_array_equal(mean.get_ydata(), [2.0, 4.0, 6.0])
     (band,) = ax.collections
-    assert {tuple(v) for v in band.get_paths()[0].vertices} >= {(0.5, 1.0), (0.5, 3.0), (2.0, 7.0)}
+    np.testing.assert_array_equal(band.get_segments()[2], [(2.0, 5.0), (2.0, 7.0)])
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("driver.speed [m/s]", "slip_rms [m/s]")
     assert ax.get_legend_handles_labels()[1] == ["mean", "range", "runs"]
 

@@ -21,6 +21,7 @@ SPOKES, SPOKE = 4, 0.06  # number of spokes of a wheel, and their radius [wheel 
 ROLLERS, ROLLER = 9, 0.25  # number of rollers of a wheel, and half their length [wheel radius]
 FINEST = 1e-3  # smallest cells of simplified meshes [extent]
 NEAR = 1e-9  # smaller lengths count as zero [m]
+WELD = 1e-6  # distance of vertices that are merged [extent]
 MOST = 60_000  # maximum number of added points
 
 
@@ -44,6 +45,27 @@ def reduced(meshes: Mapping[str, TriangleMesh], most: int) -> dict[str, Triangle
             merged[name] = TriangleMesh(mesh.vertices[first], faces[kept])
         cell *= 1.5
     return {name: each for name, each in merged.items() if len(each.faces)}
+
+
+def outward(mesh: TriangleMesh) -> TriangleMesh:
+    """Return a mesh with faces that are counter-clockwise seen from outside.
+
+    The volume of a closed part, the sum of the signed volumes of the tetrahedra from any point to
+    its faces, is negative if the part is inside out. A part is closed if the directed edges of its
+    faces cancel, as they do still after vertices are merged; faces of other parts get both sides.
+    """
+    cell = WELD * float(np.ptp(mesh.vertices, axis=0).max())
+    _, welded = np.unique(np.round(mesh.vertices / cell), axis=0, return_inverse=True)
+    faces, corners = welded.reshape(-1)[mesh.faces], mesh.vertices[mesh.faces]
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    graph = scipy.sparse.coo_array((np.ones(len(edges)), edges.T))
+    part = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][faces[:, 0]]
+    _, edge = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+    left = np.abs(np.bincount(edge.reshape(-1), np.sign(edges[:, 1] - edges[:, 0])))
+    is_open = np.bincount(part.repeat(3), left[edge.reshape(-1)])[part] > 0
+    volume = np.bincount(part, np.linalg.det(corners - corners.mean(axis=(0, 1))))[part]
+    faces = np.where((volume < 0)[:, None], mesh.faces[:, ::-1], mesh.faces)
+    return mesh._replace(faces=np.concatenate([faces, faces[is_open, ::-1]]))
 
 
 def spokes(radius: float) -> TriangleMesh:

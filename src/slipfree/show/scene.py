@@ -477,7 +477,7 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
             *poses,
         )
     ]
-    warnings = [*_off(drives, fine, SEEN), *_others(drives)]
+    warnings = [*_off(drives, fine, SEEN), *_others(drives), *_missing(drives)]
     (h_x, h_y), (d_x, d_y) = grid.spacing, fine.grid.spacing
     size, whole = (f"{np.ptp(g.x):.4g} x {np.ptp(g.y):.4g} m" for g in (fine.grid, grid))
     near = f" ({fine.spacing:.3g} m near the paths)" if fine.spacing < max(d_x, d_y) else ""
@@ -718,17 +718,11 @@ def _plate_spans(
     base = parts.rotations[0, 0]
     places, joints = ((each.origins[0] - parts.origins[0, 0]) @ base for each in (wheels, parts))
     radius = max(wheel.radius for wheel in vehicle.wheels)
-    parents = {joint.name: joint.parent for joint in vehicle.joints}
-    halves = dict[tuple[bool, ...], int]()
-
-    def is_carried(part: str, by: str) -> bool:
-        """Return whether the part ``by`` is ``part``, or moves with it."""
-        while by != part and by in parents:
-            by = parents[by]
-        return by == part
-
+    halves, above = dict[tuple[bool, ...], int](), {"platform": {"platform"}}
+    for joint in vehicle.joints:  # parents before children
+        above[joint.name] = above[joint.parent] | {joint.name}
     for number, joint in enumerate(vehicle.joints, 1):
-        carried = tuple(is_carried(joint.name, each.parent) for each in vehicle.wheels)
+        carried = tuple(joint.name in above[each.parent] for each in vehicle.wheels)
         x, y, _ = places[list(carried)].T
         away = y - joints[number, 1]
         if x.size and x.min() < 0 < x.max() and max(away.min(), -away.max()) > radius:
@@ -746,16 +740,23 @@ def _plate_spans(
 def _with_visuals(
     bodies: Iterable[SceneBody], drive: Driven, robot: Robot, color: Color
 ) -> Iterable[SceneBody]:
-    """Yield bodies that no mesh of the URDF replaces, without that of the platform, and links."""
-    joints = robot.tree.joints.values()
-    replaced = {wheel_name(each.name) for each in joints if each.child in drive.visuals}
-    names = {wheel.name for wheel in drive.vehicle.wheels} - replaced
+    """Yield links with meshes, and bodies that these do not replace.
+
+    They replace their wheels; those of the root, or of links fixed to it, replace all other parts.
+    """
+    vehicle, base, names = drive.vehicle, {robot.tree.root}, {w.name for w in drive.vehicle.wheels}
+    for joint in robot.tree.joints.values():
+        base |= {joint.child} if joint.type == "fixed" and joint.parent in base else set()
+        names -= {wheel_name(joint.name)} if joint.child in drive.visuals else set()
+    if base.isdisjoint(drive.visuals):  # wheels would float
+        names |= {"platform", *(joint.name for joint in vehicle.joints)}
     for body in bodies:
         if body.name == "platform" or body.name in names:
             yield body._replace(meshes=body.meshes if body.name in names else ())
-    for link in poses_on_map(drive.run, drive.vehicle, robot):
+    for link in poses_on_map(drive.run, vehicle, robot):
         if mesh := drive.visuals.get(link.child):
-            yield SceneBody(link.child, ((mesh, color),), link.origins, link.rotation.as_matrix())
+            looks = ((meshes.outward(mesh), color),)
+            yield SceneBody(link.child, looks, link.origins, link.rotation.as_matrix())
 
 
 def _arrows(run: Trajectory, drive: Driven, contacts: Array, axles: Array) -> list[Arrows]:
@@ -821,3 +822,12 @@ def _others(drives: Sequence[Driven]) -> Iterable[str]:
                 f"The drawn ground is that of {first.name}; the ground of "
                 f"{drive.name} differs from it by up to {apart:.3g} m along that motion."
             )
+
+
+def _missing(drives: Iterable[Driven]) -> Iterable[str]:
+    """Yield notes on links of URDFs whose shapes cannot be read."""
+    for drive in drives:
+        links = drive.robot.tree.links.values() if drive.robot is not None else ()
+        names = (e.name for e in links if e.visuals and e.name not in drive.visuals)
+        if missing := ", ".join(names):
+            yield f"{drive.name} is drawn without the links {missing}, whose meshes cannot be read."

@@ -24,7 +24,7 @@ from slipfree.models.single_wheel import WheelCurves
 from slipfree.plan.pareto import FrontPoint
 from slipfree.show import style
 from slipfree.show.plots import Panel, Plot, Swept, Varied, stack
-from slipfree.show.style import MM, PAGE, PALETTE, STOPPED
+from slipfree.show.style import MM, PAGE, PALETTE
 
 # words in the names of metrics; whether large values are risks (1) or good (-1)
 RISKS = {
@@ -39,7 +39,6 @@ MOST_WORDS = 8  # maximum number of cells per side with numbers
 ROOM = 7  # maximum number of horizontal texts at an axis
 WIDE = 30.0  # smallest ratio of values drawn on a logarithmic axis
 SWEPT_HEIGHT = 61.0  # of a panel [mm]
-FAILED_HEIGHT = 0.03  # height of the marks of unsolved points [axes]
 PANELS = (
     ("pull", "drawbar pull [N]", 1.0),
     ("side", "side force [N]", 1.0),
@@ -75,11 +74,7 @@ def curve(swept: Swept, ax: Axes) -> Axes:
     label = "mean" if is_repeated else None
     ax.plot(x, mean, "o", ls=line, ms=4, color=PALETTE[0], label=label, zorder=3)
     if is_repeated:
-        look: dict[str, Any] = {"color": PALETTE[0], "alpha": 0.3, "label": "range"}
-        if varied.numbers:
-            ax.fill_between(x, low, high, lw=0, **look)
-        else:
-            ax.vlines(x, low, high, lw=3, **look)
+        ax.vlines(x, low, high, lw=3, color=PALETTE[0], alpha=0.3, label="range")
         at = np.repeat(x, values.shape[1])
         ax.plot(at, values.ravel(), ".", ms=3, mew=0, color="0.35", label="runs", zorder=2)
     if not varied.numbers:
@@ -177,20 +172,12 @@ def front_plot(against: str, unit: str, points: Sequence[FrontPoint], given: Fro
 def _draw_points(
     points: Sequence[FrontPoint], given: FrontPoint, value: Callable[[FrontPoint], float], ax: Axes
 ) -> None:
-    """Draw the points of a Pareto front: solved, dominated, not solved, and the given one."""
-    solved = [point for point in points if point.is_solved]
-    shown = [value(point) for point in (*solved, given)]
-    if min(shown) > 0 and max(shown) > WIDE * min(shown):
+    """Draw the points of a Pareto front that are not dominated, and the given one."""
+    kept = [point for point in points if point.is_solved and not point.is_dominated]
+    values = [*map(value, kept)]
+    if 0 < WIDE * min(values, default=0.0) < max(values, default=0.0):
         ax.set_yscale("log")
-    kept = [point for point in solved if not point.is_dominated]
-    look: dict[str, Any] = {"ms": 4, "color": PALETTE[0]}
-    ax.plot([point.second for point in kept], [*map(value, kept)], "o-", label="front", **look)
-    if worse := [point for point in solved if point.is_dominated]:
-        at = [point.second for point in worse]
-        ax.plot(at, [*map(value, worse)], "o", mfc="none", label="dominated", **look)
-    if missed := [point.bound for point in points if not point.is_solved]:
-        heights, across = [FAILED_HEIGHT] * len(missed), ax.get_xaxis_transform()
-        ax.plot(missed, heights, "x", color=STOPPED, label="not solved", transform=across)
+    ax.plot([e.second for e in kept], values, "o-", label="front", ms=4, color=PALETTE[0])
     star: dict[str, Any] = {"ms": 8, "color": PALETTE[1], "zorder": 3}
     ax.plot(given.second, value(given), "*", label="costs of the problem", **star)
 

@@ -99,8 +99,10 @@ def finished(
         entries |= dict(zip(labels, handles, strict=True))
     width = float(figure.get_figwidth())
     if entries:
-        columns = _columns(list(entries), int(width * 18))
-        figure.legend(entries.values(), entries, loc="outside upper center", ncols=columns)
+        columns = max(1, int(width * 18) // (max(map(len, entries)) + 8))
+        rows = -(-len(entries) // columns)
+        look: dict[str, Any] = {"loc": "outside upper center", "ncols": -(-len(entries) // rows)}
+        figure.legend(entries.values(), entries, **look)
     if run is not None and run.stop is not None:
         reason = stop_words(run)
         note = f"{reason[0].upper()}{reason[1:]}\n{note}".strip()
@@ -108,16 +110,6 @@ def finished(
         lines = [textwrap.fill(line, int(width * 19)) for line in note.splitlines()]
         figure.supxlabel("\n".join(lines), x=0.02, ha="left", fontsize=7, parse_math=False)
     return figure
-
-
-def _columns(labels: list[str], room: int) -> int:
-    """Return the largest number of legend columns that fits a width in characters."""
-    for columns in range(len(labels), 1, -1):
-        parts = np.array_split(np.array([len(label) for label in labels]), columns)
-        if sum(int(part.max()) + 8 for part in parts) <= room:
-            rows = -(-len(labels) // columns)
-            return -(-len(labels) // rows)
-    return 1
 
 
 def look(k: int) -> dict[str, Any]:
