@@ -127,8 +127,8 @@ def test_guaranteed_bounds_are_bands_of_the_file():
 
 def test_a_killed_map_continues_and_gives_equal_files(small_tiles, monkeypatch):
     printed(*small_tiles, "-o", "whole.tif")
-    pressed, computed = pressing(verb.tile_of, at=3)  # inside the third tile, which it ends
-    monkeypatch.setattr(verb, "tile_of", pressed)
+    pressed, computed = pressing(verb.atlas.tile_of, at=3)  # inside the third tile, which it ends
+    monkeypatch.setattr(verb.atlas, "tile_of", pressed)
     told = printed(*small_tiles, "-o", "part.tif", code=130)
     assert "contains 2 of 6 tiles; repeat the command to continue" in told
     printed(*small_tiles, "-o", "part.tif")

@@ -306,7 +306,7 @@ def _broken(name: str, monkeypatch: pytest.MonkeyPatch, raised: BaseException) -
     def fail(*_: Any, **__: Any) -> None:
         raise raised
 
-    monkeypatch.setattr(f"slipfree.problem.{name}", fail)
+    monkeypatch.setattr(f"slipfree.{name}", fail)
 
 
 @pytest.mark.usefixtures("folder")
@@ -326,7 +326,7 @@ def test_a_failing_integrator_saves_what_was_reached(folder, monkeypatch):
         slice(3), Stop("solver", 0.2, "gave up", Outcome.SOLVER_FAILURE)
     )
     error = SolverError("gave up", replace(reached, attributes={}))
-    _broken("verbs.base.simulate", monkeypatch, error)
+    _broken("solve.simulate.simulate", monkeypatch, error)
     result = invoke("run", "p.toml", "--no-draw", "-o", "q.nc", code=1)
     assert re.match("outcome +solver failure at t = 0.2 s: gave up\n", result.stdout)
     assert result.stderr == "solver failure at t = 0.2 s; q.nc contains the result so far\n"
@@ -336,7 +336,7 @@ def test_a_failing_integrator_saves_what_was_reached(folder, monkeypatch):
 
 
 def test_a_failure_without_a_motion(folder, monkeypatch):
-    _broken("verbs.base.simulate", monkeypatch, SolverError("nothing at all"))
+    _broken("solve.simulate.simulate", monkeypatch, SolverError("nothing at all"))
     result = invoke("run", "p.toml", "--no-draw")
     assert (result.exit_code, result.stderr) == (1, "nothing at all\n")
     assert not (folder / "p.nc").exists()
@@ -377,7 +377,7 @@ def test_info(folder):
 
 
 def test_places_are_checked_before_anything_is_computed(folder, monkeypatch):
-    _broken("result.build", monkeypatch, AssertionError("must not be reached"))
+    _broken("problem.result.build", monkeypatch, AssertionError("must not be reached"))
     assert "no/a.nc: expected a folder no" in refused("run", "p.toml", "-o", "no/a.nc")
     assert "expected a folder no" in refused("run", "p.toml", "--csv", "no/a.csv")
     assert "expected the name of a file" in refused("run", "p.toml", "-o", str(folder))

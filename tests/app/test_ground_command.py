@@ -96,7 +96,7 @@ def test_the_ground_of_a_problem_and_errors():
     assert "has filled those that a wheel of 0.5 m" in filled
     holes = np.where(np.indices((AXIS.size, AXIS.size)).max(axis=0) % 2, np.nan, 0.0)
     np.savez("holes.npz", x=AXIS, y=AXIS, z=holes)
-    assert "found holes everywhere" in printed("ground", "holes.npz", code=2)
+    assert "found a hole at or beside every node" in printed("ground", "holes.npz", code=2)
     np.savez("site.npz", x=AXIS, y=AXIS, z=1e5 + AXIS[:, None] * AXIS)
     assert "vertical_scale" in printed("ground", "site.npz", code=2)
     assert "VEHICLE: expected a vehicle file" in printed("ground", "site.npz", "tank", code=2)

@@ -183,7 +183,7 @@ REFUSED = {
     "rows without order": (table(DRIVE[::-1]), "in line 3: so do many others; sort the rows"),
     "w last, named first": (
         quaternions("t,left,right,x,y,qw,qx,qy,qz", 4),
-        "found 'tilts of more than 45 degrees'; correct the names of the four parts: w is",
+        "found tilts of more than 45 degrees in more than 10% of the rows; .*: w is",
     ),
     "drives sorted, with other times": (
         mixed(np.vstack([DRIVE, OTHER[::3] + 0.03 * np.eye(6)[0]])),
@@ -246,7 +246,7 @@ REFUSED = {
     ),
     "counts of every sample": (
         changed(dict.fromkeys((1, 2), lambda rate: np.round(15 * rate, 3))),
-        "a motion of 0.0679 times the travel of the wheels, probably another unit",
+        "moved 0.0679 times as far as its wheels rolled, probably since the log has another unit",
     ),
     "speeds of wheels": (
         changed(dict.fromkeys((1, 2), lambda rate: 0.15 * rate)),

@@ -398,7 +398,7 @@ def test_runs_that_fail_are_rows_and_counted_in_the_bar(file, monkeypatch):
 def test_processes_that_cannot_start_are_no_fault_of_the_runs(file, monkeypatch):
     monkeypatch.setattr(processes, "prepare_process", sys.exit)  # ends at once
     pool = processes.Processes(1, work)
-    words = r"could not start \(exit code 0\): see its output above; finished runs are kept"
+    words = r"could not start \(exit code 0\): see its output above; finished parts are kept"
     with pytest.raises(SlipfreeError, match=words):
         list(finish_tasks(tasks_of(file, "time.step=0.1"), pool, lambda: None))
 

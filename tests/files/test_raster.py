@@ -264,7 +264,7 @@ def test_tiles_in_degrees(tmp_path):
             {"name": "slope_deg"},
             "band of heights, .* found one named 'slope_deg'; use the map of hei",
         ),
-        ({"name": "Depth"}, "positive upward, found one named 'Depth'; .*name it 'height'"),
+        ({"name": "Depth"}, "positive upward, found one named 'Depth'; .*describe it as 'height'"),
         ({"crs": f"{UTM}+5715"}, "positive upward, found depths, positive downward; .*--calc=-A"),
     ],
 )

@@ -406,7 +406,7 @@ def test_a_scheduler_that_goes_away(file: Path) -> None:
             local.close()
 
     tasks = sweep_cases.tasks_of(file, "time.step=0.1", "time.step=0.05")
-    with pytest.raises(SlipfreeError, match="to the scheduler is lost; finished runs are kept"):
+    with pytest.raises(SlipfreeError, match="to the scheduler is lost; finished parts are kept"):
         list(finish_tasks(tasks, DaskPool(work, local.scheduler_address, print), poll))
 
 

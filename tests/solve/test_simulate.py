@@ -147,7 +147,7 @@ def test_times_tolerances_and_inputs_are_checked():
         (np.zeros(7), "one value for each of the 20 intervals between samples, found shape"),
         (np.nan, "expected finite numbers"),
         (dae.u.values[0] * 2, "found one that contains inputs"),
-        (ca.SX.sym("q"), "expected symbols of the model, found q"),
+        (ca.SX.sym("q"), "expected an expression of the symbols .*, found the symbol 'q'"),
         (ca.SX(2, 1), "expected a scalar expression"),
         ("fast", "expected real numbers or an SX expression"),
     ):
@@ -299,7 +299,7 @@ def test_events_are_checked():
         ([Event(x, name="wall")], "found 'wall' twice; rename the event"),
         ([Event(ca.vertcat(x, x))], "expected a scalar SX"),
         ([Event(1.0)], "expected a scalar SX, found 1.0"),
-        ([Event(x - ca.SX.sym("q"))], "event 'event': expected symbols of the model, found q"),
+        ([Event(x - ca.SX.sym("q"))], "event 'event': expected .*, found the symbol 'q'"),
     ):
         refuses(ModelError, words, simulate, dae, start, dae.inputs(drive=1.0), T, events=events)
 

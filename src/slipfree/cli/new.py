@@ -40,6 +40,8 @@ SPEED, MARGIN = r"(?m)^speed = ([\d.]+) *", 0.8  # of a starter; share of the li
 RIGID = '"quasi-static"  # slow motion', '"dynamics"  # motion with inertia'  # of a starter
 OTHER = {"name": "Rocky 7", "catalog": "rocky7"}  # vehicle of a comparison
 COMMANDS = {"v_x": 0.2, "v_y": 0.0, "omega_z": 0.05}  # of an inverse problem [m/s, rad/s]
+# sentences about the vehicle, the ground and removed tables of the template
+SHIPPED_ONLY = re.compile(r" (A three-wheeler|Two vehicles|All others) .*")
 NEEDED = re.compile(r'\b(?:file|friction) = "(.+?)"')  # keys with names of input files
 
 
@@ -154,7 +156,7 @@ def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, Any]) -
     kept = (each for each in sections if re.findall(r"\w+", each)[0] not in replaced)
     line = f"title = {json.dumps(title, ensure_ascii=False)}"
     head = re.sub(r"(?m)^title = .*", lambda _: line, head)
-    return re.sub(r" (A three-wheeler|Two vehicles|All others) .*", "", head + own + "".join(kept))
+    return SHIPPED_ONLY.sub("", head + own + "".join(kept))
 
 
 def examples(

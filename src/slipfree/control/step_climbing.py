@@ -110,10 +110,10 @@ def capped(speeds: PerAxle, cap: float) -> PerAxle:
 def reference(
     climber: Vehicle, tilts: Tilts, directions: PerAxle, law: Law = "projective", cap: float = 1.5
 ) -> PerAxle:
-    """Return the reference speeds of the axles, relative to the vehicle's speed [1].
+    """Return the reference speeds of the axles, relative to that of the middle axle [1].
 
-    The law ``"projective"`` has no slip in every phase, ``"fixed"`` has speed one for all axles.
-    The other laws are equations of the paper as printed, for comparison: (6) with (8), the
+    The law ``"projective"`` is free of slip in every phase, ``"fixed"`` has speed one for all
+    axles. The other laws are equations of the paper as printed, for comparison: (6) with (8), the
     pseudo-inverse (15) of (14), and (16). Their single angle alpha is the largest of the axles'
     directions of motion [rad]. ``cap``, at least 1, is the largest relative speed; ``"printed_14"``
     does not use it.

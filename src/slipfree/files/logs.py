@@ -512,9 +512,9 @@ def _check_travel(
     if likeness > ALIKE and units:
         raise DataError(
             f"{log.path}: expected times in s, positions in m and rates in SI units, found a "
-            f"motion of {ratio:.3g} times the travel of the wheels, probably {units}; name the "
-            "unit with the column in [data.columns] or [data.rates]; if the slip is so large, name "
-            "the SI unit with the rates"
+            f"vehicle that moved {ratio:.3g} times as far as its wheels rolled, probably since the "
+            f"log has {units}; name the unit of the column in [data.columns] or [data.rates], or, "
+            "if the wheels slip this much, the SI unit of the rates"
         )
 
 

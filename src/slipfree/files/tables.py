@@ -212,9 +212,10 @@ def read_columns(
         q = [read.get(f"heading:{part}", 0 * read["heading:z"]) for part in "xyzw"]
         is_turn = np.abs(np.square(q).sum(axis=0) - 1) < UNIT_LENGTH
         if np.mean(np.square(q[:2]).sum(axis=0) > TILT) > TILTED:
-            wanted = "quaternions of a vehicle that stands upright"
+            found = f"tilts of more than 45 degrees in more than {TILTED:.0%} of the rows"
             remedy = "correct the names of the four parts: w is probably another one"
-            raise layout.error(layout.first, "tilts of more than 45 degrees", wanted, remedy)
+            wanted = "quaternions of a vehicle that stands upright"
+            raise DataError(f"{path}: expected {wanted}, found {found}; {remedy}")
         read["heading"] = np.where(is_turn, yaw_of(*q), np.nan)
         chosen["heading"] = chosen["heading:z"][0], "rad"
     values, start = {}, 0.0

@@ -180,7 +180,7 @@ def key_lines(text: str) -> Mapping[Place, int]:
             lines.setdefault(place[:end], line)
         level = index = 0
         for piece in PIECE.findall(statement[match.end() :]) if "{" in statement else ():
-            if piece == "{" and level == 1:  # an inline table of an array
+            if piece == "{" and level == 1:  # a table in an inline value, numbered as in an array
                 lines.setdefault((*place, index), line)
                 index += 1
             level += (piece in "[{") - (piece in "]}")

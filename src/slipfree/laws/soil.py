@@ -64,7 +64,7 @@ from annotated_types import Ge, Gt, Le, Lt, Unit
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Limit
-from slipfree.core.errors import ModelError, read_table
+from slipfree.core.errors import ModelError, check_known, read_table
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array
 from slipfree.core.schema import Flag
@@ -672,9 +672,5 @@ SOILS = dict(_read_soils())
 
 def known_soil(name: str) -> Soil:
     """Return a soil of the catalogue by name; ModelError for an unknown name."""
-    if name not in SOILS:
-        raise ModelError(
-            f"soil: expected one of {', '.join(SOILS)}, found {name!r}; choose one of them, or "
-            "give the constants of Soil(...)"
-        )
+    check_known("soil", [name], SOILS)
     return SOILS[name].soil

@@ -317,12 +317,13 @@ def guiding_motion(
     the given rates.
     """
     kinds: tuple[Kind, ...] = ("commanded", "passive")
-    turned = {k for kind in kinds for each in steering_effects(direct, kind).values() for k in each}
+    turning = (steering_effects(direct, kind).values() for kind in kinds)
+    ignored = {k for effects in turning for each in effects for k in each}
     names, plane = direct.labels.z.rates, derived_rates(direct)
     given = [each.label.name for each in inputs]
     motion = tuple(
         new_variable(direct, replace(label, name=f"guide_{label.name}"))
-        for label in (*names[:6], *names.suspension)
+        for label in (*names[:6], *names.suspension)  # of the pose first
     )
     multipliers = [replace(label, name=f"guide_{label.name}") for label in names.law.multipliers]
     multipliers += [
@@ -330,12 +331,13 @@ def guiding_motion(
         for name in given
     ]
     # at its proper rate, a wheel on rollers meets every motion: its slip at rest does not count
-    turned |= {k for k, wheel in enumerate(direct.vehicle.wheels) if wheel.rollers}
-    across = [slip for k, slip in enumerate(direct.y.slip_across) if k not in turned]
+    ignored |= {k for k, wheel in enumerate(direct.vehicle.wheels) if wheel.rollers}
+    across = [slip for k, slip in enumerate(direct.y.slip_across) if k not in ignored]
+    # small weights determine the rates that are not given
     sizes = zip(COMMANDS, command_sizes(direct.vehicle, [*COMMANDS]), strict=True)
     loose = [FREE_RATE_WEIGHTS[name] * (size * plane[name].expression) ** 2 for name, size in sizes]
     goal = 0.5 * ca.sum1(ca.vertcat(*loose, *(slip**2 for slip in across)))
-    touching = direct.alg[1][-len(names.law.multipliers) :]
+    touching = direct.alg[1][-len(names.law.multipliers) :]  # the wheels keep their contacts
     missed = [
         plane[name].expression - each.symbol for name, each in zip(given, inputs, strict=True)
     ]

@@ -166,6 +166,8 @@ def _solved_for_rates(direct: Dae, given: Sequence[str]) -> Dae:
     if not slopes:
         return dae
     unknowns = pack(tuple(each.symbol for each in rates))
+    # from an error of each angle to the change of all rates; where that of the angle's own rate is
+    # positive, the error grows [1/s]
     change = -ca.solve(ca.jacobian(imposed.rows, unknowns), ca.horzcat(*slopes.values()))
     names = [each.label.full for each in rates]
     growth = [change[names.index(f"{name}_rate"), k] for k, name in enumerate(slopes)]

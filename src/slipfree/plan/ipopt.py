@@ -269,7 +269,7 @@ def solve_nlp(nlp: Nlp) -> NlpSolution:
     if not solution.success:
         raise SolverError(
             f"no solution of the nonlinear program was found: {ipopt_words(solution.status)} after "
-            f"{solution.iterations} iterations; widen limits that may contradict each other, or "
-            "change the number of nodes or the initial guess"
+            f"{solution.iterations} iterations; widen limits that may contradict each other, raise "
+            "the friction, or change plan.intervals"
         )
     return solution

@@ -174,8 +174,8 @@ def _known(grid: Grid) -> Mask:
     known = np.asarray(~binary_dilation(grid.holes, np.ones((3, 3), dtype=bool)))
     if not known.any():
         raise ModelError(
-            "expected at least one node whose eight neighbours have heights, found holes "
-            f"everywhere, at {100 * float(grid.holes.mean()):.3g} % of the nodes; fill them: "
-            "--set terrain.fill=linear"
+            "expected at least one node whose eight neighbours have heights, found a hole at or "
+            f"beside every node ({100 * float(grid.holes.mean()):.3g} % of the nodes have no "
+            "height); fill them: --set terrain.fill=linear"
         )
     return known

@@ -62,17 +62,20 @@ def files_read(problem: Problem[Any]) -> list[Path]:
 
 
 def files_named_in(urdf: Path) -> list[Path]:
-    """Return the files that exist of those named in a URDF and in its includes."""
-    files, waiting = list[Path](), [urdf] if urdf.suffix in URDF else []
+    """Return the existing files that a URDF and its includes name; none for other files."""
+    files, waiting = list[Path](), [urdf] if urdf.suffix.lower() in URDF else []
     while waiting:
         file = waiting.pop()
         with suppress(DataError):  # build_vehicle reports errors in the file
             text = read_bytes(file, "a URDF").decode(errors="replace")
-            tops = (file.parent, *file.absolute().parents[1:4])  # a package is above its folders
+            tops = (
+                file.parent,
+                *file.absolute().parents[1:4],
+            )  # a package is up to 3 folders above
             places = [top / name for name in FILE_NAME.findall(text) for top in tops]
             new = [each for each in dict.fromkeys(places) if each.is_file() and each not in files]
             files += new
-            waiting += [each for each in new if each.suffix in URDF]
+            waiting += [each for each in new if each.suffix.lower() in URDF]
     return files
 
 

@@ -107,7 +107,10 @@ def rod(
 
 
 def extruded(outline: Array, along: Sequence[float] | Array) -> TriangleMesh:
-    """Return the mesh of a convex outline extruded along a vector, with closed ends [m]."""
+    """Return the closed prism of a convex outline, shape (n, 3), along a vector [m].
+
+    Faces point outward if the outline turns counter-clockwise about the vector.
+    """
     n = len(outline)
     side = sheet(np.stack([outline, outline + np.asarray(along)], axis=1), closed=(True, False))
     k = np.arange(1, n - 1)

@@ -377,10 +377,15 @@ def suppress_messages() -> Iterator[None]:
 class StepObserver:
     """Observer of the steps of an integrator.
 
-    The observer records the times of the steps and reports progress. It ends the integration at a
-    step beyond a limit, if it is ``guarded``, if the progress callable returns False, at a Ctrl-C
-    held back by `held_interrupt`, if it is ``polled``, or if steps no longer advance: CVODES
-    itself would take `MAX_STEPS` of them.
+    The observer records the times of the steps and calls ``progress`` with each [s]. It ends the
+    integration
+
+    * if ``progress`` returns False,
+    * if ``guarded``: at a step beyond a limit,
+    * if ``polled``: at a Ctrl-C that `held_interrupt` held back,
+    * after `STALLED_STEPS` steps that do not advance, of which CVODES would take `MAX_STEPS`.
+
+    The ``guard`` keeps exceptions of ``progress`` while SUNDIALS runs.
     """
 
     def __init__(

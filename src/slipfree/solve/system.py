@@ -583,7 +583,8 @@ def check_symbols(name: str, dae: Dae, expression: ca.SX, symbols: Sequence[ca.S
     known = [*symbols, found_column(dae.lookups)]
     if free := ca.Function("known", known, [expression], {"allow_free": True}).free_sx():
         raise ModelError(
-            f"{name}: expected symbols of the model, found {free[0]}; use the symbols of its Dae"
+            f"{name}: expected an expression of the symbols of this model, found the symbol "
+            f"{free[0].name()!r} of another model or of SX.sym; use those of the Dae, as dae.t"
         )
 
 

@@ -504,7 +504,7 @@ def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str,
             raise DataError(
                 f"--figure {name}: expected one of the metrics of these runs "
                 f"({', '.join(sorted(known)) or 'none'}); change or omit the option and run the "
-                "command again; finished runs are kept"
+                "command again; finished parts are kept"
             )
     return tuple(names)
 

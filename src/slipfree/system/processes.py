@@ -138,7 +138,7 @@ class Processes(Generic[T, D]):
             if process.started.exception():
                 raise SlipfreeError(
                     f"a worker process could not start ({how}): see its output above; "
-                    "finished runs are kept"
+                    "finished parts are kept"
                 ) from error
             raise ProcessDiedError(f"a worker process died ({how})") from error
         self._idle.append(process)
@@ -263,7 +263,7 @@ class DaskPool(Generic[T, D]):
     def _gone(self) -> SlipfreeError:
         return SlipfreeError(
             f"--scheduler {self._address}: the connection to the scheduler is lost; "
-            "finished runs are kept; start a scheduler and repeat the command to continue"
+            "finished parts are kept; start a scheduler and repeat the command to continue"
         )
 
 

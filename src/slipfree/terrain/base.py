@@ -65,10 +65,10 @@ def polynomial_jet(found: ca.SX, orders: Sequence[tuple[int, int]], x: ca.SX, y:
 
 @cache
 def _polynomial_function(orders: tuple[tuple[int, int], ...]) -> ca.Function:
-    """Return `polynomial_jet` as a function; to call it takes a hundredth of the time."""
+    """Return the function of `polynomial_jet`; to build it takes a hundred times a call."""
     found, x, y = ca.SX.sym("found", 2 + len(orders)), ca.SX.sym("x"), ca.SX.sym("y")
     values = dict(zip(orders, ca.vertsplit(found[2:]), strict=True))
-    most = max(n for _, n in orders)
+    most = max(map(max, orders))
     # along x in every row of derivatives, then along y: Horner's scheme with factorials
     rows = [
         _taylor([values[m, n] for m in range(most + 1) if (m, n) in values], x - found[0])

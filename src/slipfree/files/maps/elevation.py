@@ -158,9 +158,9 @@ def _columns(rows: Any) -> tuple[Array, Array]:
         largest, area = np.abs(plane).max(), float(np.ptp(plane, axis=0).prod())
         if (rounding := float(np.spacing(largest))) > ROUGH * math.sqrt(area / len(plane)):
             refuse(
-                "coordinates with more digits than the distance of the points",
-                f"{largest:.9g}, rounded to {rounding:.2g} since numbers have four bytes",
-                "write x and y as 'double', or subtract an origin before",
+                "x and y that resolve the spacing of the points",
+                f"{largest:.9g} in single precision, a multiple of {rounding:.2g}",
+                "write x and y in double precision, or subtract an origin from them first",
             )
     return np.column_stack([rows[names[name]].astype(np.float64) for name in "xyz"]), kinds
 
@@ -713,9 +713,9 @@ def check_degrees(heights: Heights, *, local: bool) -> None:
             f"{reach}; remove geographic"
         )
     new = metric_system(float(heights.x.mean()), float(heights.y.mean()))
-    remedy = (
-        f'; set geographic = "local", or reproject it to metres: gdalwarp -t_srs {new} in out.tif'
-    )
+    systems = f"-t_srs {new}" if heights.crs else f"-s_srs EPSG:4326 -t_srs {new}"
+    warp = f"gdalwarp {systems} in out.tif"
+    remedy = f'; set geographic = "local", or reproject it to metres: {warp}'
     system = f" ({heights.crs})" if heights.crs else ""
     if heights.geographic and not local:
         raise DegreesError(f"expected a map in metres, found degrees{system}: {reach}{remedy}")

@@ -55,7 +55,7 @@ DEGREE = 1.11e5  # approximate length of a degree [m]
 OCCUPANCY = 205, 0, 254  # gray levels of map_server: unknown, occupied, free
 TO_LEVELS = (
     "use the elevation model from which it was drawn, or, if its colours are gray levels of "
-    "heights, gdal_translate {} in.png out.tif"
+    "heights, convert it: gdal_translate {} in.png out.tif"
 )
 TO_GRAY = "keep only the band of heights: gdal_translate -b 1 in.tif out.tif"
 TO_TURNED = "turn it, or, if its rows do so, omit the tag: gdal_translate in.tif out.tif"
@@ -66,7 +66,7 @@ TO_HEIGHTS = (
 )
 DOWN = re.compile(r",\s*down\b", re.IGNORECASE)  # direction of an axis
 VERTICAL_UNIT = re.compile(r'VERT_CS\[.*?UNIT\["([^"]*)"')
-TO_BAND = "use the map of heights, or, if the band contains heights, name it 'height'"
+TO_BAND = "use the map of heights, or, if the band contains heights, describe it as 'height'"
 # in names of bands
 NOT_HEIGHTS = re.compile(r"(?<![a-z])(slope|aspect|hillshade|depth|roughness)", re.IGNORECASE)
 TO_METRES = "gdalwarp -t_srs {} in.tif out.tif"
@@ -385,7 +385,7 @@ def _check_numbers(path: Path, driver: str, shape: tuple[int, int], used: range)
                 # separators of columns, of thousands, or decimals
                 change = "', ' ' '" if wrong.count(b".") > 1 else "-d ," if b"." in wrong else ", ."
                 command = f": tr {change} < {shlex.quote(path.name)} > points.asc" * (b"," in wrong)
-                others = "" if found else f", after a key of {KEYS[driver]} or alone"
+                others = "" if found else f", or a key with its number ({KEYS[driver]})"
                 refuse(
                     f"numbers in line {n}{others}",
                     repr(wrong.decode(errors="replace")[:SHOWN]),

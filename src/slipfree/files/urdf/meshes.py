@@ -104,8 +104,8 @@ class MeshFiles:
         if not np.abs(vertices).max() <= MAX_COORDINATE:  # not for NaN
             raise DataError(
                 f"expected a mesh with coordinates from -{MAX_COORDINATE:g} to "
-                f"{MAX_COORDINATE:g} m, found others in {mesh.name!r}; correct its scale, or "
-                "export it again"
+                f"{MAX_COORDINATE:g} m, found {np.abs(vertices).max():g} in {mesh.name!r}; correct "
+                "its scale, or export it again"
             )
         is_mirrored = np.prod(mesh.scale) < 0
         return TriangleMesh(vertices, read.faces[:, ::-1] if is_mirrored else read.faces)

@@ -191,8 +191,8 @@ class Wheels:
         if below:
             self._findings.wrong(
                 joint,
-                f"expected a wheel without moving joints below it, found {', '.join(below)}; "
-                f"remove {'them' if len(below) > 1 else 'it'} or the wheel",
+                f"expected a wheel without moving joints below it, found {', '.join(below)}; make "
+                f"{'them' if len(below) > 1 else 'it'} fixed, or declare the joint of the wheel so",
             )
             return None
         name = wheel_name(joint.name)
@@ -507,14 +507,18 @@ class Wheels:
     def _high(
         self, joints: Sequence[UrdfJoint], paired: Collection[str]
     ) -> Iterator[tuple[str, str]]:
-        """Yield the joints whose round shapes end far above the lowest one, with the reason."""
+        """Yield the names of joints whose round shapes end too high for wheels, and the reasons.
+
+        These ends are more than half of the largest radius above the lowest one. Where the evidence
+        is open or favours a wheel, the user is asked as well.
+        """
         shapes = {j: shape for j in joints if j.name not in paired and (shape := self._shape(j))}
-        lows = {joint: self.tree.bottom(joint.child, [shape]) for joint, shape in shapes.items()}
+        ends = {joint: self.tree.bottom(joint.child, [shape]) for joint, shape in shapes.items()}
         radius = max((shape.radius for shape in shapes.values()), default=0.0)
-        most = min(lows.values(), default=0.0) + radius / 2
-        low = [shapes[joint].radius for joint in shapes if lows[joint] <= most]
-        for joint in (joint for joint in shapes if lows[joint] > most):
-            alike = any(math.isclose(shapes[joint].radius, r, rel_tol=ALIKE) for r in low)
+        most = min(ends.values(), default=0.0) + radius / 2
+        near_ground = [shapes[joint].radius for joint in shapes if ends[joint] <= most]
+        for joint in (joint for joint in shapes if ends[joint] > most):
+            alike = any(math.isclose(shapes[joint].radius, r, rel_tol=ALIKE) for r in near_ground)
             facts = {"high": True, "alike": alike, "names": WHEEL.search(joint.names)}
             choice = weigh(evidence("ground", facts))
             if choice.is_open or choice.choice == "wheel":

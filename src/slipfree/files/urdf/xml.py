@@ -124,9 +124,10 @@ def is_markup(head: bytes) -> bool:
 
 
 def is_description(path: Path) -> bool:
-    """Return whether a file is a robot description, by its contents or its ending.
+    """Return whether a file is to be read as a robot description, by its contents or its ending.
 
-    Files of other formats are included, so that `parse_robot` or `check_ending` names them.
+    This includes endings of formats that `parse_robot` or `check_ending` refuses by their name. The
+    file need not exist if its ending decides.
     """
     endings = [each.lower() for each in path.suffixes]
     if {*endings} & {*ROBOTS, *REFUSED} and endings[-1] != ".toml":

@@ -423,7 +423,7 @@ def _given_rates(
     if ours := [name for name in given if name in {*COMMANDS, *ROBOT} - {*given_rates.RATES}]:
         expected = (
             f"either rates in the platform's heading frame ({', '.join(COMMANDS)}; with frame = "
-            f"'rep103' also {', '.join(ROBOT)}) or other rates, not both"
+            f"'rep103' also {', '.join(ROBOT)}) or {', '.join(given_rates.RATES)}, not both"
         )
         found = f"{', '.join(given)}; remove one kind"
         faults.append(toml.Fault(("given", ours[0]), expected, found))
