@@ -164,7 +164,7 @@ def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch)
     def fail(*_: Any, **__: Any) -> None:
         raise SolverError("gave up", reached)
 
-    monkeypatch.setattr("slipfree.problem.verbs.base.simulate", fail)
+    monkeypatch.setattr("slipfree.solve.simulate.simulate", fail)
     file = str(PROBLEMS / "paper_inverse.toml")
     result = invoke("run", file, "--no-draw", "-o", "q.nc", *sets("steering=rate"), code=1)
     assert len(result.stderr.splitlines()) == 1

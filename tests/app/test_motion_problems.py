@@ -23,7 +23,6 @@ from slipfree.core.trajectory import PLAN, Outcome, Stop
 from slipfree.files.netcdf import read, write
 from slipfree.files.vehicle_toml import vehicle_text
 from slipfree.plan import search as searching
-from slipfree.plan.ipopt import SOLVED_STATUS
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.build import build_solids
@@ -584,8 +583,8 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
 @pytest.mark.slow
 def test_a_time_limit_that_ended_the_search_is_in_the_summary(bounded, monkeypatch):
     assert "cost" not in dict(motion_facts(bounded.trajectory))
-    ended = {SOLVED_STATUS: "the search ended early"}
-    monkeypatch.setattr("slipfree.problem.verbs.plan.NOT_LEAST", ended)
+    words = {searching.ipopt.SOLVED_STATUS: "the search ended early"}
+    monkeypatch.setattr(searching.ipopt, "NOT_LEAST", words)
     told = dict(motion_facts(run_problem(load_problem(HILLS, QUICK)).trajectory))["cost"]
     assert told.startswith("may not be least: the search ended early; the plan meets all")
 

@@ -195,12 +195,13 @@ FINER = [*COARSE, "8 intervals"]
 
 def get_stuck(monkeypatch, at, status="Restoration_Failed"):
     """Let the search ``at`` an index get stuck."""
-    left, solve = iter([{}] * at + [{"status": status, "success": False}]), searching.solve_program
+    answers = [*[{}] * at, {"status": status, "success": False}]
+    left, solve = iter(answers), searching.ipopt.solve_program
 
     def stuck(*args, **options):
         return solve(*args, **options)._replace(**next(left, {}))
 
-    monkeypatch.setattr(searching, "solve_program", stuck)
+    monkeypatch.setattr(searching.ipopt, "solve_program", stuck)
 
 
 @pytest.mark.slow
