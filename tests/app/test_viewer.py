@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import itertools
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -165,7 +166,6 @@ def watched(driver: Any) -> list[np.ndarray]:
             seen.append(picture(driver))
         if fineness(driver) == fine:
             break
-    assert min(map(colors, seen)) > 60
     return seen
 
 
@@ -216,8 +216,8 @@ def test_the_page_shows_what_moves(files: list[Path], browser: Any) -> None:
             assert process.wait(30) == 0
         finally:
             process.kill()
-    assert "Over <hills> & back" in text
-    for words in ("height: ", "slip: 1 m of arrow length represents", "tilting", "fixed"):
+    slip = "slip: 1 m of arrow length represents"
+    for words in ("Over <hills> & back", "height: ", slip, "tilting", "fixed"):
         assert words in text
     assert {host for _, host in asked(browser)} - {""} == {address.split("/")[2]}
     assert complaints(browser) == []
@@ -239,8 +239,7 @@ def test_a_saved_page_plays_from_disk(files: list[Path], browser: Any, tmp_path:
       choice.dispatchEvent(new Event("change", {bubbles: true}))""")
     assert (np.abs(picture(browser) - before).max(axis=2) > 60).sum() > 100  # other tracks
     text = browser.find_element("id", "slipfree").text
-    assert "Over <hills> & back" in text
-    assert "height: " in text
+    assert all(words in text for words in ("Over <hills> & back", "height: "))
     assert {kind for kind, _ in asked(browser)} <= {"file", "data", "blob"}
     assert complaints(browser) == []
 
@@ -304,10 +303,7 @@ def test_a_printed_report_is_unfolded_and_its_figures_are_legible_on_a_phone(
 
 
 def test_a_quiet_page_says_where_it_is(files: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    def serve(*words: Any) -> None:
-        words[-1]("http://127.0.0.1:1")
-
-    monkeypatch.setattr(viewer, "serve", serve)
+    monkeypatch.setattr(viewer, "serve", lambda *words: words[-1]("http://127.0.0.1:1"))
     done = invoke("show", files[0], "--no-browser", "--quiet", code=0)
     assert done.stderr == "http://127.0.0.1:1 shows the motions; Ctrl-C ends the server\n"
 
@@ -323,7 +319,7 @@ def test_run_shows_its_result(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_colors_of_a_page_are_those_asked_for(files: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "page.html"
     invoke("show", files[0], "--html", out, "--color", "slope", code=0)
-    assert "slope: 0 to" in out.read_text(encoding="utf-8")
+    assert 'data-nodes="/world/ground slope" selected>' in out.read_text(encoding="utf-8")
 
 
 def test_without_viser_it_says_what_to_install(
@@ -380,8 +376,8 @@ def test_nodes_have_the_poses_of_the_motion(files: list[Path]) -> None:
 
 def test_tracks_are_ribbons_with_a_white_edge_beside_the_contact_points(files: list[Path]) -> None:
     server, _ = motion_nodes(files, np.zeros(1))
-    find = server.scene.get_handle_by_name
-    edge, track = (find(f"/world/run 1/tracks/{name}") for name in ("edge", "own"))
+    root = "/world/run 1/tracks"
+    edge, track = (server.scene.get_handle_by_name(f"{root}/{name}") for name in ("edge", "own"))
     assert tuple(edge.color) == (255, 255, 255)
     assert edge.vertices[..., 2].max() < track.vertices[..., 2].max()
     widths = [np.linalg.norm(np.diff(each.vertices[:2], axis=0)) for each in (edge, track)]
@@ -401,5 +397,8 @@ def test_long_motions_are_followed_and_shown_faster(files: list[Path], is_far: b
     scene = scene._replace(actors=(actor,), reach=0.05 if is_far else scene.reach)
     html = viewer.page(scene, "title", "height")
     assert "Played at 8 times real speed." in html
-    words = "The view follows a.", 'data-nodes="/world/run 1/tracks/path">overview<'
-    assert [each in html for each in words] == [is_far] * 2 == [scene.is_far] * 2
+    words = "The view follows a.", '/world/run 1/tracks/path">overview<', '<div id="map"><svg'
+    assert [each in html for each in words] == [is_far] * 3 == [scene.is_far] * 3
+    drawn = re.findall(r'([\d.]+),([\d.]+)[ "]', html_page._inset(scene).partition("<poly")[2])
+    places = np.array(drawn, float) * (1, -1) + scene.backdrop.window[::3]  # west, north
+    assert np.allclose(places, (scene.paths + scene.origin)[:, :2], atol=1e-3)

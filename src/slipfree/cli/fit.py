@@ -285,23 +285,18 @@ def wheel(
         if write:
             raise ModelError(f"{file}: expected --fit with --write, found none; add --fit")
         from slipfree.files.tables import write_records
-        from slipfree.problem.wheel_test import (
-            measured_points,
-            run_wheel_file,
-            wheel_facts,
-            wheel_rows,
-        )
+        from slipfree.problem import wheel_test
 
-        test = run_wheel_file(file, settings or [])
+        test = wheel_test.run_wheel_file(file, settings or [])
         table = out or default_table(file, "wheel", test.file.files)
         picture = table.parent / f"{table.stem}.png" if draw else None
         check_outputs([table, picture], test.file.files)
-        files = [save(table, partial(write_records, records=wheel_rows(test.curves)))]
-        console.print_facts(wheel_facts(test))
+        files = [save(table, partial(write_records, records=wheel_test.wheel_rows(test.curves)))]
+        console.print_facts(wheel_test.wheel_facts(test))
         if picture is not None:
             from slipfree.show.study_figures import wheel_plot
 
-            points, load = measured_points(test.file.runs), test.file.spec.wheel.load
+            points, load = wheel_test.measured_points(test.file.runs), test.file.spec.wheel.load
             plot = wheel_plot(picture.stem, test.curves, load, points)
             files += draw_plots([plot], picture.parent)
         console.print_line(f"wrote {' and '.join(map(str, files))}")

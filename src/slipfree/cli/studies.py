@@ -117,19 +117,12 @@ def pareto(
     """
     from slipfree.files.netcdf import write
     from slipfree.files.tables import write_records
+    from slipfree.problem import pareto as fronts
     from slipfree.problem.inputs import files_read
-    from slipfree.problem.pareto import (
-        GIVEN,
-        FrontFolder,
-        front_facts,
-        front_rows,
-        plan_front,
-        table_lines,
-    )
 
     problem = console.read_problem(file, settings, trust)
     folder = out or Path(f"{problem.source.path.stem}_pareto")
-    files = {k: f"point_{k + 1:02}.nc" for k in range(points)} | {GIVEN: "plan.nc"}
+    files = {k: f"point_{k + 1:02}.nc" for k in range(points)} | {fronts.GIVEN: "plan.nc"}
     check_outputs([], files_read(problem), folder=folder, names=[*FRONT, *files.values()])
 
     def keep(number: int, point: FrontPoint) -> None:
@@ -138,17 +131,18 @@ def pareto(
         save(path, lambda path: write(path, result.trajectory, result.arrays))
         console.detail(f"wrote {path}")
 
-    with FrontFolder(folder, problem, against, points) as parts, console.reporting(None) as reports:
-        solve = partial(plan_front, processes=processes, report=reports.search, keep=keep)
+    begun = fronts.FrontFolder(folder, problem, against, points)
+    with begun as parts, console.reporting(None) as reports:
+        solve = partial(fronts.plan_front, processes=processes, report=reports.search, keep=keep)
         front = solve(problem, against, points, parts=parts)
-        rows = front_rows(front)
+        rows = fronts.front_rows(front)
         save(folder / FRONT[0], lambda path: write_records(path, rows))
         code = front.outcome.exit_code
         is_interrupted = interrupt_requested() or code == console.INTERRUPTED
         if not is_interrupted:
             parts.remove()
-    console.print_facts(front_facts(front))
-    console.print_line("\n".join(["", *table_lines(front)]))
+    console.print_facts(fronts.front_facts(front))
+    console.print_line("\n".join(["", *fronts.table_lines(front)]))
     console.add_json("points", lambda: rows)
     draw = draw and not is_interrupted
     if draw:
@@ -313,32 +307,20 @@ def sweep(
     dry_run : bool
         Print the runs and the estimated time, without running them.
     """
+    from slipfree import sweep as study
     from slipfree.problem.inputs import files_read
     from slipfree.show.study_figures import sweep_plots
-    from slipfree.sweep import (
-        FAILED,
-        LOST,
-        TABLE,
-        Rows,
-        choose_figures,
-        drawn_grids,
-        grids,
-        plan_facts,
-        run_sweep,
-        sweep_facts,
-        sweep_of,
-    )
     from slipfree.system.codegen_cache import obstacle
     from slipfree.system.parts import LOG
     from slipfree.system.processes import available_cores
 
     with console.counted("checking values") as checked:
-        plan = sweep_of(file, vary or [], settings or [], repeat, seed, checked, trust or [])
+        plan = study.sweep_of(file, vary or [], settings or [], repeat, seed, checked, trust or [])
     folder = out or Path(f"{plan.problem.source.path.stem}_sweep")
     if dry_run:
-        facts, left, needed = plan_facts(plan), plan.count, "not known before the first run"
+        facts, left, needed = study.plan_facts(plan), plan.count, "not known before the first run"
         if (folder / LOG).is_file():
-            with Rows(folder, plan.count, plan.head) as rows:
+            with study.Rows(folder, plan.count, plan.head) as rows:
                 left -= len(rows)
                 facts.append(("finished", f"{len(rows)} in {folder}"))
                 if len(rows):
@@ -361,21 +343,21 @@ def sweep(
     workers = console.workers_of(processes, scheduler)
 
     def words() -> str:
-        wrong = rows.outcomes[FAILED] + rows.outcomes[LOST]
+        wrong = rows.outcomes[study.FAILED] + rows.outcomes[study.LOST]
         last = f": {rows.last.run}, {rows.last.outcome}" if rows.last else ""
         return ("runs" + f", {wrong} failed" * bool(wrong)) + last
 
-    rows = Rows(folder, plan.count, plan.head, again=again, check=plan.files.check)
+    rows = study.Rows(folder, plan.count, plan.head, again=again, check=plan.files.check)
     with rows, console.studying("runs", rows, words) as watch:
-        run_sweep(plan, rows, workers, keep=keep, watch=watch)
-    names = choose_figures(plan, rows, figures or [])
-    tables = grids(plan, rows, names)
-    console.print_facts(sweep_facts(plan, rows, tables))
+        study.run_sweep(plan, rows, workers, keep=keep, watch=watch)
+    names = study.choose_figures(plan, rows, figures or [])
+    tables = study.grids(plan, rows, names)
+    console.print_facts(study.sweep_facts(plan, rows, tables))
     if names:
         _print_metrics([tables[name] for name in names])
-    console.print_written(folder / TABLE)
+    console.print_written(folder / study.TABLE)
     # finished runs without a result file, such as those run without --keep
-    moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST})) if keep else []
+    moved = rows.ended(*(set(rows.outcomes) - {study.FAILED, study.LOST})) if keep else []
     if missing := [run for run in moved if not rows.file(run).exists()]:
         console.warn(
             f"--keep: finished runs without a result file: {len(missing)}; sweep into another "
@@ -387,8 +369,8 @@ def sweep(
                 f"no figures: {len(plan.axes)} keys are varied, and figures show at most {MAX_KEYS}"
             )
         elif plan.count > 1:
-            draw_figures(sweep_plots(drawn_grids(rows, tables, names)), folder / FIGURES)
-    if rows.ended(FAILED, LOST):
+            draw_figures(sweep_plots(study.drawn_grids(rows, tables, names)), folder / FIGURES)
+    if rows.ended(study.FAILED, study.LOST):
         raise typer.Exit(console.STOPPED)
 
 

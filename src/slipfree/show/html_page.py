@@ -11,20 +11,22 @@ import hashlib
 import json
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from html import escape
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter
 
 from slipfree.core.records import html_table
 from slipfree.routing.traversability import free_space
 from slipfree.show import style
-from slipfree.show.ground_drawing import muted
+from slipfree.show.ground_drawing import Window, muted
 from slipfree.show.local_server import Content, page_file
 from slipfree.show.plots import Plot, draw
 from slipfree.show.scene import WORLD, Color, Layer, Scene
@@ -39,6 +41,7 @@ PIXELS, LEAST = 120, 0.62  # pixels of the page per inch of a figure; its smalle
 VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # for reproducible pages
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 MAP_PIXELS, MAP_DPI = 1600, 400  # longer side of the map for planning, pixels per inch of its text
+INSET_PIXELS = 400  # longer side of the map on a page whose camera follows the vehicle
 
 NODES = 400  # largest number of nodes of the tilt along an axis of the map
 FORBIDDEN = 255  # tilt at which a wheel could reach the edge of the map or a hole
@@ -80,7 +83,7 @@ def with_legend(
         f"{_choice('ground', grounds, color)}{_choice('tracks', tracks, colored)}"
         f"{overview * scene.is_far}{switches}{warned}"
         f"<details><summary>notes</summary>{notes}</details></div>"
-        f'<div id="plots">{_plots(scene)}</div>'
+        f'<div id="plots">{_plots(scene)}</div>{_inset(scene) if scene.is_far else ""}'
         f"<script>{page_file('viewer_keys.js')}{page_file('viewer_saved.js')}</script>"
     )
     html = html.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
@@ -136,6 +139,26 @@ def _plots(scene: Scene) -> str:
     lines = " ".join(f'<b style="color:{color}">{escape(n)}</b>' for n, color in names.items())
     ends = f"<span>{round(first, 2):g} s</span><b></b><span>{round(last, 2):g} s</span>"
     return f'{lines}{plots}<div data-first="{first}" data-last="{last}">{ends}</div>'
+
+
+def _inset(scene: Scene) -> str:
+    """Return HTML of a small map of all paths; their vertices are the positions at the frames."""
+    west, east, south, north = window = scene.backdrop.window
+    wide, high = east - west, north - south
+
+    def draw(ax: Axes) -> None:
+        scene.backdrop.draw(ax)
+        for words in ax.texts:  # too small
+            words.set_visible(False)
+
+    ground = _uri(_bare_map(draw, window, INSET_PIXELS, DPI), "png")
+    drawn = f'<image href="{ground}" width="{wide:.6g}" height="{high:.6g}"/>'
+    for actor in scene.actors:
+        x, y, _ = (actor.bodies[0].origins + scene.origin).T
+        points = " ".join(f"{a:.6g},{b:.6g}" for a, b in zip(x - west, north - y, strict=True))
+        drawn += f'<polyline points="{points}"/><circle r="2.5%" fill="{_css(actor.color)}"/>'
+    drawn = f'<svg viewBox="0 0 {wide:.6g} {high:.6g}">{drawn}</svg>'
+    return f'<div id="map">{drawn}{wide:.4g} x {high:.4g} m, north is up</div>'
 
 
 def _css(color: Color) -> str:
@@ -196,6 +219,10 @@ def image(figure: Figure) -> str:
     drawn, kind = _written(figure, "svg"), "svg+xml"
     if len(drawn) > MOST:
         drawn, kind = _written(figure, "png"), "png"
+    return _uri(drawn, kind)
+
+
+def _uri(drawn: bytes, kind: str) -> str:
     return f"data:image/{kind};base64,{b64encode(drawn).decode()}"
 
 
@@ -254,13 +281,18 @@ def _digest(*parts: bytes) -> str:
 
 def map_image(grid: Grid) -> Content:
     """Return the map with hillshade and contours as PNG; its edges are those of the ground."""
-    x_min, x_max, y_min, y_max = grid.domain
-    width, height = x_max - x_min, y_max - y_min
-    scale = MAP_PIXELS / max(width, height) / MAP_DPI
-    drawn = figure(max(width * scale, 0.1), max(height * scale, 0.1))
+    draw = partial(muted, grid, window=grid.domain)
+    return Content(_bare_map(draw, grid.domain, MAP_PIXELS, MAP_DPI), "image/png")
+
+
+def _bare_map(draw: Callable[[Axes], Any], window: Window, pixels: int, dpi: int) -> bytes:
+    """Return a map without margins as PNG, with ``pixels`` along its longer side."""
+    west, east, south, north = window
+    scale = pixels / max(east - west, north - south) / dpi
+    drawn = figure(max((east - west) * scale, 0.1), max((north - south) * scale, 0.1))
     drawn.set_layout_engine("none")
     ax = drawn.add_axes((0, 0, 1, 1))
-    muted(grid, ax, grid.domain)
+    draw(ax)
     ax.set_axis_off()
-    ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="auto")
-    return Content(_written(drawn, "png", MAP_DPI), "image/png")
+    ax.set(xlim=(west, east), ylim=(south, north), aspect="auto")
+    return _written(drawn, "png", dpi)

@@ -209,6 +209,7 @@ class Backdrop(NamedTuple):
     """Ground of a film: plan view with all paths, and the surroundings of a vehicle."""
 
     draw: Callable[[Axes], Any]  # draws the ground on axes in map coordinates
+    window: Window  # ends of this drawing in x, then in y, in map coordinates [m]
     # ``near(point, half, count)`` returns faces of the ground around a point, with ``count`` nodes
     # per side, and of the solids, each of shape (n, 4, 3) [m]
     near: Callable[[Array, float, int], tuple[Array, Array]]
@@ -590,7 +591,7 @@ def _backdrop(
         marks = first.keep_out, first.places, first.areas, first.wanted
         return ground_drawing.plan_marks(ax, *marks)
 
-    return Backdrop(draw, near, AROUND * reach)
+    return Backdrop(draw, window, near, AROUND * reach)
 
 
 def _runs(drives: Sequence[Driven]) -> list[Trajectory]:

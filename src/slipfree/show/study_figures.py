@@ -137,12 +137,8 @@ def _ticks(axis: Any, values: Sequence[str]) -> None:
     every = -(-len(values) // (2 * ROOM))
     words = [value.strip('"') for value in values[::every]]
     crowded = axis.axis_name == "x" and sum(map(len, words)) > 6 * ROOM
-    axis.set_ticks(
-        range(0, len(values), every),
-        words,
-        rotation=45 if crowded else 0,
-        **({"ha": "right"} if crowded else {}),
-    )
+    look: dict[str, Any] = {"rotation": 45, "ha": "right"} if crowded else {}
+    axis.set_ticks(range(0, len(values), every), words, **look)
 
 
 def labelled(name: str, unit: str) -> str:

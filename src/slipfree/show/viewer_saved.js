@@ -58,6 +58,10 @@
       plot.previousElementSibling.querySelectorAll("b").forEach((value, n) => {
         value.textContent = lines[n].points[k].y.toFixed(digits);
       });
+      for (const line of document.querySelectorAll("#map polyline")) {
+        const {x, y} = line.points[k];
+        line.nextElementSibling.setAttribute("transform", `translate(${x} ${y})`);
+      }
     }
     requestAnimationFrame(() => follow(max ? t : before));
   }
