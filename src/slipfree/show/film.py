@@ -45,6 +45,7 @@ WIDE = 2.2  # width of the ground in a picture over that in a film [1]
 FILM_NODES, PICTURE_NODES = 40, 90  # nodes of the ground per side
 GROUND = (0.90, 0.85, 0.77)  # colour of the ground
 SOLID = {"lw": 1.4}  # look of lines
+TOP = 0.9  # highest place of a name [half the height of the view]
 SCALE = 0.3  # least length of the scale bar [half the width of the view]
 CAMERA = np.radians((28.0, -55.0))  # elevation and azimuth of the viewer
 TITLE = 80  # number of characters in a line of the title
@@ -210,8 +211,8 @@ class View:
 
     def add_paths(self, scene: Scene) -> None:
         """Add the paths of all platforms, keep-out regions, start and goal, and the legend."""
-        arrows = [each for each in scene.entries if each.group == "arrows"]
-        keys = [Line2D([], [], color=_shares(each.color), label=each.label) for each in arrows]
+        named = [e for e in scene.entries if e.group == "arrows" or e.name in PLAN_LINES[:2]]
+        keys = [Line2D([], [], color=_shares(each.color), label=each.label) for each in named]
         self.artists.append(self.ax.legend(handles=keys, loc="lower left", bbox_to_anchor=(0, 1)))
         plan = [each for each in scene.ground.lines if each.name in PLAN_LINES]
         for name, point in (label for each in plan for label in each.labels):
@@ -221,7 +222,8 @@ class View:
             self.artists.append(text)
         for points, colors, look in [
             *((each.segments, [_shares(each.color)], SOLID) for each in plan),
-            *(drawn for actor in scene.actors for drawn in _path(scene, actor)),
+            # plans below the motions that simulate them
+            *(drawn for actor in scene.actors[::-1] for drawn in _path(scene, actor)),
         ]:
             line = LineCollection([], colors=colors, zorder=1, **look)
             self.ax.add_collection(line, autolim=False)
@@ -241,7 +243,7 @@ class View:
         for point, text in self.labels:
             text.set_visible(bool((np.abs(point - middle)[:2] <= self.half).all()))
             x, y, _ = projected(point, middle)
-            text.set_position((x, y))
+            text.set_position((x, min(y, TOP * HEIGHT * self.half)))
         parts, colors = list[Array](), list[Array]()
         for body in actor.bodies:
             for mesh, color in body.meshes:
@@ -345,10 +347,12 @@ def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
         color = _shares(actor.color)
         for lines, colors, look in _path(scene, actor):
             flat = (lines + scene.origin)[..., :2]
-            ax.add_collection(LineCollection([*flat], colors=colors, zorder=3, **look))
+            at = {"zorder": 2 if actor.ghost else 3}
+            ax.add_collection(LineCollection([*flat], colors=colors, **at, **look))
         look = {"mfc": color, "mec": "white", "ms": 5, "zorder": 4}
         markers += ax.plot([], [], "o", label=actor.name, **look)
-    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    entries = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))  # each once
+    ax.legend(entries.values(), entries, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return markers
 
 

@@ -145,13 +145,7 @@ def _inset(scene: Scene) -> str:
     """Return HTML of a small map of all paths; their vertices are the positions at the frames."""
     west, east, south, north = window = scene.backdrop.window
     wide, high = east - west, north - south
-
-    def draw(ax: Axes) -> None:
-        scene.backdrop.draw(ax)
-        for words in ax.texts:  # too small
-            words.set_visible(False)
-
-    ground = _uri(_bare_map(draw, window, INSET_PIXELS, DPI), "png")
+    ground = _uri(_bare_map(scene.backdrop.draw, window, INSET_PIXELS, DPI), "png")
     drawn = f'<image href="{ground}" width="{wide:.6g}" height="{high:.6g}"/>'
     for actor in scene.actors:
         x, y, _ = (actor.bodies[0].origins + scene.origin).T

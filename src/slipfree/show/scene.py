@@ -25,7 +25,7 @@ from slipfree.geometry.regions import Region
 from slipfree.models.samples import CLOSEST, FramePoses, has_friction, part_poses, wheel_poses
 from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing, meshes, style
-from slipfree.show.ground_drawing import Place, Window
+from slipfree.show.ground_drawing import HEATMAP, Place, Window
 from slipfree.show.style import FLAT, STEEP
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
@@ -45,14 +45,14 @@ FAR = 20.0  # the camera follows vehicles on longer paths [reach of the vehicle]
 WORLD = "/world"  # node with the scene; it moves when the camera follows a vehicle
 Color = tuple[int, int, int]
 Colors = npt.NDArray[np.uint8]
-POST = 1.6  # height of the posts at places of a plan, above the names of vehicles [reach]
+POST = 1.0  # height of the posts at places of a plan, above the names of vehicles [reach]
 LIFT = 0.01  # height of lines above the ground, so that it does not hide them [reach]
 CONTOURS, CELLS = 12, 8  # maximum number of contours, and of grid cells along the longer side
 STEPS = (1, 2, 5, 10)  # round numbers, times a power of ten
 SAMPLES = 240  # samples of a grid line
 BESIDE = 0.03  # distance of its label from the ground [longer side of the drawn ground]
 ARROW = 0.09  # length of the arrow to the north [longer side of the drawn ground]
-PLAN_LINES = "keep-out", "places", "path to follow"  # lines that pictures have as well
+PLAN_LINES = "keep-out", "path to follow", "places"  # lines that pictures have as well
 GRAY, BROWN, RED = (70, 70, 70), (60, 40, 20), (190, 30, 30)
 SIDE = 161  # maximum number of nodes of the drawn ground along an axis: 51 200 faces
 MARGIN = 0.35  # margin of the drawn ground around the paths [extent of the paths]
@@ -61,6 +61,7 @@ FINE = 0.125  # distance of nodes near the paths [reach of the vehicle]
 SEEN = 0.1  # larger distances of wheels from the drawn ground cause a warning [wheel radius]
 AROUND = 1.6  # half the width of the ground around the vehicle in a film [reach of the vehicle]
 PLACE_COLOR = (0, 0, 0)  # of start, way-points and goal of a plan
+PATH_COLOR = (120, 40, 140)  # of the path to follow; arrows of slip are black
 CLOSEST_COLOR = (120, 0, 160)  # of the place where a body came closest to the ground
 ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform [wheel radius]
 NARROW = 0.55  # width of the platform [width of the vehicle]
@@ -553,11 +554,11 @@ def _plan_lines(first: Driven, window: Window, origin: Array, reach: float) -> I
         line = draped(first.wanted) + np.array([0.0, 0.0, z - first.terrain.elevation(x, y)])
         ends = np.reshape(window, (2, 2)).T  # low, high
         line[((first.wanted < ends[0]) | (first.wanted > ends[1])).any(axis=1)] = np.nan
-        yield Lines(PLAN_LINES[2], "of the driver", PLACE_COLOR, _segments(line))
+        yield Lines(PLAN_LINES[1], "of the driver", PATH_COLOR, _segments(line))
     if first.places:
         names, points = [place[0] for place in first.places], [place[1:] for place in first.places]
         posts, labels = _posts(draped(np.array(points)), POST * reach, names)
-        yield Lines(PLAN_LINES[1], "of the plan", PLACE_COLOR, posts, labels)
+        yield Lines(PLAN_LINES[2], "of the plan", PLACE_COLOR, posts, labels)
 
 
 def _backdrop(
@@ -587,7 +588,8 @@ def _backdrop(
         return faces[whole], np.concatenate([faces[:0], *blocks])
 
     def draw(ax: Axes) -> Axes:
-        ground_drawing.solids(first.prisms, ground_drawing.muted(terrain.grid, ax, window))
+        ground_drawing.relief(*ground_drawing.patch(terrain.grid, window, HEATMAP), ax)
+        ground_drawing.solids(first.prisms, ax)
         marks = first.keep_out, first.places, first.areas, first.wanted
         return ground_drawing.plan_marks(ax, *marks)
 
