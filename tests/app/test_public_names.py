@@ -296,8 +296,7 @@ def test_states_of_a_moving_horizon_are_map_coordinates(calls):
     assert shift[0] == 5.0
     measured = window.plan.states(np.array([0.1])).ravel() + shift
     assert sf.replan(window, first_cycle(window), 0.4, measured).violation < 1e-6
-    (ax, *_) = found.plot().axes
-    assert "east" in ax.get_xlabel()
+    assert "east" in found.plot().axes[0].get_xlabel()
 
 
 def test_packages_are_asked_for_before_the_work(calls, tmp_path, monkeypatch):
@@ -318,8 +317,9 @@ def test_results_and_maps_draw_themselves(tmp_path, calls):
     for result, name, axes in (*((run, *each) for each in drawn), (poses, *drawn[0])):
         for figure in (sf.plot(result, name), result.plot(name)):
             assert axes in figure.axes[0].get_xlabel()
-    for record in (run, poses, model, model.vehicle, model.ground):
-        assert record._repr_html_().count("<tr>") == len(lines_of(record)) - 1 > 1
+    for record in (run, poses, model.ground, model, model.vehicle):
+        assert (html := record._repr_html_()).count("<tr>") == len(lines_of(record)) - 1 > 1
+        assert ("<img" in html) == hasattr(record, "plot")
     refuses(sf.ModelError, "did you mean 'rates'", sf.plot, run, "rate")
     refuses(sf.ModelError, "result: expected Trajectory", sf.plot, model)
     flat = sf.Analytic(lambda x, y: 0.02 * x * y)

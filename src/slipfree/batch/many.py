@@ -9,21 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.batch import motion
 from slipfree.batch.evaluator import Evaluator, evaluator_of
 from slipfree.batch.graph import Graphs, graphs_of
-from slipfree.batch.motion import (
-    COMPLETE,
-    INVALID_START,
-    MAX_STEPS,
-    TOO_FAST,
-    UNSOLVED,
-    clearances,
-    integrate_lanes,
-    margins,
-    relax,
-    smallest,
-    solve_forces,
-)
 from slipfree.core.arguments import BY_NAME, check_finite, checked
 from slipfree.core.dae import Dae, WheelCheck, invalid_start
 from slipfree.core.errors import ModelError, require
@@ -148,7 +136,7 @@ def settle_many(
         states = start_states(graphs, part)
         codes = stand_checked(evaluate, states, stand(evaluate, states))
         ended = {k: (outcome, words) for k, outcome, words in _ends(evaluate, codes, states)}
-        if (failed := np.flatnonzero(codes == UNSOLVED)).size:
+        if (failed := np.flatnonzero(codes == motion.UNSOLVED)).size:
             messages = obstacles(model, *columns_of(graphs, states[:, failed])[:2])
             ended |= {k: (FAILED, each) for k, each in zip(failed.tolist(), messages, strict=True)}
             states[:, failed] = np.nan
@@ -201,7 +189,7 @@ def stand(evaluate: Evaluator, states: Array) -> Rests:
 def stand_near(evaluate: Evaluator, states: Array) -> Rests:
     """Let the vehicle stand as `stand`; states that relax begin at their given values."""
     relaxes = evaluate.graphs.dae.rest.numel() > 0
-    return solve_positions(evaluate, states, partial(relax, evaluate) if relaxes else None)
+    return solve_positions(evaluate, states, partial(motion.relax, evaluate) if relaxes else None)
 
 
 def solve_positions(
@@ -336,19 +324,19 @@ def stand_checked(evaluate: Evaluator, states: Array, rests: Rests) -> Indices:
     """
     graphs = evaluate.graphs
     last = states[:, ~rests.has_pose]
-    distances = solve_forces(evaluate, states)
+    distances = motion.solve_forces(evaluate, states)
     states[:, ~rests.has_pose] = last  # of these, only the positions are of interest
-    codes = np.where(rests.has_pose, COMPLETE, UNSOLVED)
-    beyond = rests.has_pose & ~(margins(distances) >= 0)
+    codes = np.where(rests.has_pose, motion.COMPLETE, motion.UNSOLVED)
+    beyond = rests.has_pose & ~(motion.margins(distances) >= 0)
     if beyond.any():
-        codes[beyond] = np.array(graphs.bounds)[smallest(distances[:, beyond])]
-    inside, every = codes == COMPLETE, np.arange(len(graphs.checks))
+        codes[beyond] = np.array(graphs.bounds)[motion.smallest(distances[:, beyond])]
+    inside, every = codes == motion.COMPLETE, np.arange(len(graphs.checks))
     others = np.setdiff1d(every, [*graphs.wheels])
     for lanes, checks in ((inside & rests.is_clear, others), (inside & ~rests.is_clear, every)):
         if checks.size and lanes.any():
-            clear = clearances(evaluate, states[:, lanes], checks)
-            failed = checks[smallest(clear)] + len(graphs.dae.limits)
-            codes[lanes] = np.where(clear.min(axis=0) >= 0, COMPLETE, failed)
+            clear = motion.clearances(evaluate, states[:, lanes], checks)
+            failed = checks[motion.smallest(clear)] + len(graphs.dae.limits)
+            codes[lanes] = np.where(clear.min(axis=0) >= 0, motion.COMPLETE, failed)
     return codes
 
 
@@ -437,24 +425,24 @@ def run_lanes(
         step = min(step, TRAIL_STEP * graphs.dae.vehicle.trail)
     has_pose = np.ones(n, dtype=bool) if placed else stand(evaluate, states).has_pose
     states[graphs.rows.p, ~has_pose] = np.nan
-    motions = integrate_lanes(evaluate, states, inputs, t, step)
+    motions = motion.integrate_lanes(evaluate, states, inputs, t, step)
     outcomes, reasons = ["complete"] * n, [""] * n
-    disputed = has_pose & (motions.reason == UNSOLVED)
+    disputed = has_pose & (motions.reason == motion.UNSOLVED)
     for k in np.flatnonzero(~has_pose):
         outcomes[k], reasons[k] = FAILED, NO_POSE
-    codes = np.where(motions.reason < 0, COMPLETE, motions.reason).astype(int)
-    invalid = has_pose & (motions.reason == INVALID_START)
+    codes = np.where(motions.reason < 0, motion.COMPLETE, motions.reason).astype(int)
+    invalid = has_pose & (motions.reason == motion.INVALID_START)
     if invalid.any():
         distances = motions.distances[:, invalid]
-        failed = clearances(evaluate, motions.beyond[:, invalid]).argmin(axis=0)
-        bounds = np.array([*graphs.bounds, 0])[smallest(distances) if len(distances) else -1]
-        is_inside = margins(distances) >= 0
+        failed = motion.clearances(evaluate, motions.beyond[:, invalid]).argmin(axis=0)
+        bounds = np.array([*graphs.bounds, 0])[motion.smallest(distances) if len(distances) else -1]
+        is_inside = motion.margins(distances) >= 0
         codes[invalid] = np.where(is_inside, len(graphs.dae.limits) + failed, bounds)
-    for k in np.flatnonzero(has_pose & (motions.reason == TOO_FAST)):
+    for k in np.flatnonzero(has_pose & (motions.reason == motion.TOO_FAST)):
         outcomes[k] = Outcome.SOLVER_FAILURE.name.lower()
         reasons[k] = (
-            f"expected a motion of at most {MAX_STEPS} steps of {step:.3g} m between two samples, "
-            "found a faster one; correct the inputs, or give more times"
+            f"expected a motion of at most {motion.MAX_STEPS} steps of {step:.3g} m between two "
+            "samples, found a faster one; correct the inputs, or give more times"
         )
     for lane, outcome, words in _ends(evaluate, codes, motions.beyond):
         outcomes[lane], reasons[lane] = outcome, words
@@ -465,7 +453,7 @@ def run_lanes(
     for state, errors in zip(leaves(graphs.dae.labels.x), np.abs(motions.errors), strict=True):
         label = Label(f"error_{state.full}", state.unit, f"estimated error of: {state.words}")
         columns[label.name] = Column(label, errors)
-    end = np.where(has_pose & (motions.reason != INVALID_START), motions.end, np.nan)
+    end = np.where(has_pose & (motions.reason != motion.INVALID_START), motions.end, np.nan)
     x, y, _ = graphs.places
     error = np.hypot(motions.errors[x], motions.errors[y])
     wheels = next((source.wheels for source in sources.values() if source.wheels), ())
@@ -548,7 +536,7 @@ def _values(evaluate: Evaluator, sources: Mapping[str, Wanted], samples: Array) 
     if any(source.is_output for source in sources.values()):
         samples = np.ascontiguousarray(samples)
         for states in samples:  # while driving, forces are only as exact as limits need them
-            solve_forces(evaluate, states)
+            motion.solve_forces(evaluate, states)
         outputs = np.stack([evaluate(evaluate.graphs.outputs, states) for states in samples])
     values = dict[str, Array]()
     for name, source in sources.items():

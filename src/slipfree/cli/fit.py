@@ -205,6 +205,7 @@ def _log_fit(
         if fitted is not None:
             tables.insert(0, verb.constant_rows(fitted))
             objects["estimates"] = tables[0]
+        kept = partial(verb.save_fit, problem=problem, settings=settings, result=result)
         return _FitResult(
             verb.facts(result),
             tables,
@@ -213,9 +214,7 @@ def _log_fit(
             partial(fit_plot, scores=result.scores),
             () if fitted is None else verb.undetermined(problem, fitted),
             exit_code=result.outcome.exit_code,
-            save=partial(verb.save_fit, problem=problem, settings=settings, result=result)
-            if fitted
-            else None,
+            save=kept if fitted else None,
         )
 
     ends = ("windows",) if contents is not None else ("errors", "windows")

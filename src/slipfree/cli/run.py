@@ -71,8 +71,7 @@ def run(
         require("viser", "view", "run --show: ")
     problem = console.read_problem(file, settings, trust)
     verb = verb_of(problem)
-    options = [] if out is None else ["-o", str(out)]
-    options += [] if draw else ["--no-draw"]
+    options = [*(["-o", str(out)] if out else []), *["--no-draw"] * (not draw)]
     options += [word for each in trust or () for word in ("--trust", str(each))]
     output = problem.spec.output
     is_named = bool(out or (output and problem.source.is_set(OUTPUT)))

@@ -144,8 +144,7 @@ def pareto(
     console.print_facts(fronts.front_facts(front))
     console.print_line("\n".join(["", *fronts.table_lines(front)]))
     console.add_json("points", lambda: rows)
-    draw = draw and not is_interrupted
-    if draw:
+    if draw := draw and not is_interrupted:
         from slipfree.show.study_figures import front_plot
 
         drawn = front_plot(front.against, front.unit, front.points, front.given)

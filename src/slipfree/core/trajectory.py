@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from io import BytesIO
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+SMALL_DPI = 72  # of figures of records in notebooks
 INTERRUPTED_EXIT_CODE = 130  # convention of shells for programs ended by Ctrl-C
 INCOMPLETE_EXIT_CODE = 1
 FUTILE_STATUS = "Violation_Not_Reduced"  # own status: IPOPT was stopped
@@ -175,7 +178,7 @@ def heading_column(heading: Array | float, frame: str, *, own: str = "paper") ->
 
 
 class Drawable(HtmlRepr):
-    """A result that is drawn over its ground."""
+    """A result that is drawn over its ground, or a ground."""
 
     if TYPE_CHECKING:
 
@@ -205,6 +208,14 @@ class Drawable(HtmlRepr):
         import slipfree  # its public function: figures are above this package
 
         return slipfree.plot(self, name)  # type: ignore[arg-type]
+
+    def _repr_html_(self) -> str:
+        """Return the HTML of the record, with its first figure if the ground is known."""
+        html, file = super()._repr_html_(), BytesIO()
+        if self.ground is None:
+            return html
+        self.plot().savefig(file, dpi=SMALL_DPI)
+        return f'{html}<img src="data:image/png;base64,{b64encode(file.getvalue()).decode()}">'
 
 
 @dataclass(frozen=True, eq=False)

@@ -247,16 +247,16 @@ def motion_plots(
 
 @checked
 def plot(
-    result: Trajectory | Plan | Atlas,
+    result: Trajectory | Plan | Atlas | Bicubic,
     name: str | None = None,
     *,
     ground: Terrain | Solids | None = None,
 ) -> Figure:
-    """Draw a motion, a plan or a mobility map.
+    """Draw a motion, a plan, a mobility map or a ground.
 
     Parameters
     ----------
-    result : Trajectory, Plan or Atlas
+    result : Trajectory, Plan, Atlas or Bicubic
         What is drawn; of a plan, the simulated motion.
     name : str, optional
         Name of the figure, as of the files of ``slipfree run --figures-all`` and ``slipfree
@@ -280,7 +280,9 @@ def plot(
         remedy = "remove 'ground'" if ground is not None else "give 'ground'"
         raise ModelError(f"ground: expected that of the result, found {found}; {remedy}")
     terrain: Any = result.ground if ground is None else ground
-    if isinstance(result, Atlas):
+    if isinstance(result, Bicubic):
+        plots: tuple[Plot, ...] = (ground_plot(result.grid),)
+    elif isinstance(result, Atlas):
         plots = atlas_plots(view_of(result, terrain))
     else:
         run = result.replay if isinstance(result, Plan) else result

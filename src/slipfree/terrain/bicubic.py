@@ -23,6 +23,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from slipfree.core.arguments import checked
 from slipfree.core.lookups import CellBounds, Cells, LookupTable
 from slipfree.core.records import Array, Indices
+from slipfree.core.trajectory import Drawable
 from slipfree.system.forks import cached_property
 from slipfree.terrain import base
 from slipfree.terrain.base import REPEATED, Grid, pad_axes
@@ -40,7 +41,7 @@ COLUMNS_AT_ONCE = 64  # splines solved together; their values stay in the proces
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Bicubic(base.GroundFriction):
+class Bicubic(Drawable, base.GroundFriction):
     """The bicubic not-a-knot spline through the heights of a grid.
 
     It is the surface of ``scipy.interpolate.RectBivariateSpline(x, y, z, s=0)``. Height and
@@ -115,6 +116,11 @@ class Bicubic(base.GroundFriction):
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields for pickling; an unpickled copy computes the coefficients again."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    @property
+    def ground(self) -> Bicubic:
+        """The ground itself, for `plot`."""
+        return self
 
     @cached_property
     def origin(self) -> tuple[float, float, float]:
