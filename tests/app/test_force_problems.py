@@ -53,7 +53,7 @@ def test_run_tells_what_the_motion_takes():
     assert re.match(shown, told["friction"])
     written = netcdf.read(Path("p.nc"))
     k, i = np.unravel_index(written["utilisation"].argmax(), written["utilisation"].shape)
-    where = f"wheel {written.wheels[i]} under {written['force_normal'][k, i]:.3g} N, t = "
+    where = f"wheel {written.wheels[i]}, load {written['force_normal'][k, i]:.4g} N, t = "
     assert f"{where}{written.t[k]:.4g} s" in told["friction"]
     assert written["utilisation_best"].max() <= written["utilisation"].max() + 1e-9
     written["utilisation"][k, i] = 3.5  # of a wheel that bears almost nothing
@@ -92,7 +92,7 @@ def test_samples_that_do_not_converge_are_counted(monkeypatch):
     called("run")
     told = invoke("info", "p.nc").stdout
     assert re.search("^not converged +utilisation_best at 1 of 9 samples$", told, re.MULTILINE)
-    assert re.search(r"^friction .*; 0\.\d+ at most in the best distribution$", told, re.MULTILINE)
+    assert re.search(r"^friction .*; at most 0\.\d+ with the best dis", told, re.MULTILINE)
     assert np.isnan(netcdf.read(Path("p.nc"))["utilisation_best"]).sum() == 1
 
 

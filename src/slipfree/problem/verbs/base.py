@@ -538,13 +538,12 @@ def _friction(run: Trajectory, facts: Facts) -> str:
     """
     used, best = facts["utilisation_largest"], facts.get("utilisation_best_largest")
     k, wheel = np.unravel_index(np.nanargmax(run["utilisation"]), run["utilisation"].shape)
-    load = f" under {run['force_normal'][k, wheel]:.3g} N, t = "
-    where = f"{used:.4g} at most ({used.words.replace(', t = ', load)})"
-    others = "" if best is None else f"; {best:.4g} at most in the best distribution"
+    load = f", load {run['force_normal'][k, wheel]:.4g} N, t = "
+    where = f"at most {used:.4g} ({used.words.replace(', t = ', load)})"
+    others = "" if best is None else f"; at most {best:.4g} with the best distribution of forces"
     if "ground_friction" not in run.attributes:
-        return (
-            f"coefficient needed {where}{others}; none is given for the ground (terrain.friction)"
-        )
+        none = "no coefficient of the ground is given (terrain.friction)"
+        return f"coefficient needed: {where}{others}; {none}"
     spread = ", for the forces that this motion needs"
     if run.attributes.get("model") in ("quasi-static", "dynamics"):
         spread = f" by the law {run.attributes['law']!r}" + ": a wheel slides" * (

@@ -194,7 +194,7 @@ def _simulated_words(facts: Facts, *, is_solved: bool) -> str:
     missed = ", ".join(f"{fact.words} by {read(fact)}" for fact in violations)
     accuracy = facts["plan_accuracy"].value
     if all(fact.value <= accuracy for fact in violations):
-        return f"{words}; meets all constraints within plan.accuracy, {accuracy:g}: {missed}"
+        return f"{words}; violates constraints by less than plan.accuracy, {accuracy:g}: {missed}"
     return f"{words}; violates {missed}; plan.accuracy allows {accuracy:g}"
 
 
