@@ -49,7 +49,7 @@ def test_run_tells_what_the_motion_takes():
     assert told["gravity"] == "9.81 m/s^2 (earth)"
     assert told["ground friction"] == "0.6"
     assert told["slip"].endswith("; a quasi-static prediction by the wheel-ground law 'coulomb'")
-    shown = r"utilisation 0\..* a share of the coefficient 0\.6 by the law 'coulomb'; 0\."
+    shown = r"utilisation at most 0\..* of the coefficient 0\.6 by the law 'coulomb'; at most 0"
     assert re.match(shown, told["friction"])
     written = netcdf.read(Path("p.nc"))
     k, i = np.unravel_index(written["utilisation"].argmax(), written["utilisation"].shape)
@@ -58,7 +58,7 @@ def test_run_tells_what_the_motion_takes():
     assert written["utilisation_best"].max() <= written["utilisation"].max() + 1e-9
     written["utilisation"][k, i] = 3.5  # of a wheel that bears almost nothing
     words = runner.drive_facts(written)["friction"].value
-    assert re.fullmatch(r"utilisation 3.5 at .* 0\.\d+ .*: friction can be sufficient", words)
+    assert re.fullmatch(r"utilisation at most 3.5 .* 0\.\d+ .*: friction can be sufficient", words)
     assert_allclose(
         written["power"],
         np.sum(written["drive_torque"] * written["wheel_rate"], axis=1),
