@@ -63,7 +63,8 @@ def _run() -> None:
 
     single_thread()
     gc.set_threshold(OBJECTS)
-    os.environ["MPLBACKEND"] = "agg"  # a notebook's backend may not be installed here
+    # a notebook's backend may not be installed here; plugins are searched in all packages
+    os.environ.update(MPLBACKEND="agg", PYDANTIC_DISABLE_PLUGINS="1")
     _open_streams()
     from slipfree.cli import main as run
 

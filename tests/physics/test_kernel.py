@@ -167,10 +167,10 @@ def test_heights_equal_the_expressions_for_maps_of_any_layout(through, order):
 def test_a_library_that_cannot_be_used_is_left_alone(content, tmp_path, monkeypatch):
     """Cut off, of another system, or of another version, whose numbers mean other things."""
     if content is None:
-        monkeypatch.setattr(kernel, "LAYOUT", 0)
+        monkeypatch.setattr("slipfree.core.lookups.LAYOUT", 0)
     else:
         (tmp_path / f"_kernel{EXTENSION_SUFFIXES[0]}").write_bytes(content)
-        monkeypatch.setattr(kernel, "__file__", str(tmp_path / "kernel.py"))
+        monkeypatch.setattr("slipfree.core.lookups.KERNEL", tmp_path / "_kernel")
     assert kernel.library.__wrapped__() is None
 
 

@@ -1,5 +1,6 @@
 """Tests of collocation: exact derivatives, order, known optima, elements at once, windows."""
 
+import pickle
 from functools import partial
 from itertools import pairwise
 
@@ -13,10 +14,10 @@ from helpers.cases import hills
 from helpers.commands import refuses
 from helpers.toy_models import task, toy
 from slipfree.catalog import three_wheeler
+from slipfree.core import lookups
 from slipfree.core.dae import Limit
-from slipfree.core.lookups import evaluate, evaluate_by_columns, evaluate_lanes
+from slipfree.core.lookups import OPERATIONS, evaluate, evaluate_lanes, in_lanes
 from slipfree.core.records import Label
-from slipfree.plan import sparse_assembly
 from slipfree.plan.constraints import conflicts
 from slipfree.plan.explanation import violations
 from slipfree.plan.ipopt import solve_program
@@ -208,12 +209,9 @@ def test_a_limit_along_the_way_and_a_way_point_hold():
     assert found.cost == pytest.approx(4.0, abs=1e-6)  # two metres in two seconds, and back
 
 
-@pytest.mark.parametrize("columns", [False, True])
 @pytest.mark.parametrize("continuous", [False, True])
-def test_derivatives_are_those_of_the_functions(continuous, columns, rng, monkeypatch):
+def test_derivatives_are_those_of_the_functions(continuous, rng, monkeypatch):
     """Put together by index they are what CasADi makes of cost and rows as a whole."""
-    if columns:
-        monkeypatch.setattr(sparse_assembly, "FEW_POINTS", 0)
     dae = toy(2, lambda t, x, z, u: [ca.sin(t * x[1]) * u, z * u**2])
     (x, _), z, u = dae.x.values, dae.z.values[0], dae.u.values[0]
     cost = Cost("cost", z * u**2 + ca.cos(x * dae.t), "", "")
@@ -230,8 +228,11 @@ def test_derivatives_are_those_of_the_functions(continuous, columns, rng, monkey
         smooth=0.1,
         continuous=continuous,
     )
-    program = transcribe(asked, CollocationMesh(np.array([0.0, 0.3, 0.4, 1.0]), 2))
-    w, p, f, g = (program.problem[name] for name in "xpfg")
+    mesh = CollocationMesh(np.array([0.0, 0.3, 0.4, 1.0]), 2)
+    w, p, f, g = map(transcribe(asked, mesh).problem.get, "xpfg")
+    monkeypatch.setattr(lookups, "MIN_INSTRUCTIONS", 0)
+    monkeypatch.setitem(assemble.__globals__, "in_lanes", in_lanes.__wrapped__)
+    program = transcribe(asked, mesh)
     at = rng.normal(size=w.numel()) + 1.0, np.array([0.7, 0.2])
     sigma, multipliers = 0.6, rng.normal(size=g.numel())
     rows, slopes = program.jacobian(*at)
@@ -247,30 +248,27 @@ def test_derivatives_are_those_of_the_functions(continuous, columns, rng, monkey
 # Elements evaluated at all points at once: equal to one evaluation after the other
 
 
-def branches(a, b):
-    return ca.if_else(a > b, ca.fmin(a, 0.3) * ca.sin(b), ca.floor(3 * a) / (1 + b**2) + 2)
-
-
+@pytest.mark.usefixtures("built")
 @pytest.mark.parametrize("count", [1, 300])
-def test_columns_are_what_one_number_after_the_other_gives(count, rng):
+def test_lanes_are_what_one_number_after_the_other_gives(count, rng, monkeypatch):
+    monkeypatch.setattr(lookups, "MIN_INSTRUCTIONS", 0)
     v, q = ca.SX.sym("v", 2), ca.SX.sym("q")
-    value = branches(v[0], v[1]) * q
-    results = [value, ca.jacobian(value, v), ca.triu(ca.hessian(value, v)[0]), ca.SX(4.0)]
-    f = ca.Function("f", [v, q], results)
-    columns = [ca.MX.sym(name, count) for name in "ab"]
-    q_all = ca.MX.sym("q")
-    found = evaluate_by_columns(f, [columns, [q_all]])
-    full = [
-        ca.horzcat(*(e if e.numel() == count else ca.repmat(e, count) for e in each))
-        for each in found
-    ]
+    value = ca.if_else(v[0] > v[1], ca.fmin(v[0], 0.3) * ca.sin(v[1]), 2 / (1 + v[1] ** 2)) * q
+    every = [ca.SX.binary(getattr(ca, f"OP_{name}"), v[0], v[1]) for name in OPERATIONS[4:]]
+    f = ca.Function("f", [v, q], [value, ca.triu(ca.hessian(value, v)[0]), ca.vertcat(4, *every)])
+    together = in_lanes(f, (count, 1))
     at, factor = rng.uniform(-2.0, 2.0, (count, 2)), 1.7
-    together = ca.Function("all", [*columns, q_all], full)(at[:, 0], at[:, 1], factor)
     for k in range(count):
-        for one, every in zip(f(at[k], factor), together, strict=True):
-            assert_array_equal(np.array(every[k, :]).ravel(), np.array(one.nonzeros()))
+        for one, found in zip(f(at[k], factor), together(at, factor), strict=True):
+            assert_array_equal(np.array(found[k, :]).ravel(), np.array(one.nonzeros()))
     lanes = at.T, np.full((1, count), factor)
     assert_array_equal(evaluate_lanes(f, *lanes), evaluate(f, *lanes)[0])
+    kept = pickle.dumps(together)  # serialised, it keeps no slot; another function has it then
+    in_lanes.cache_clear()
+    del together
+    others = [in_lanes(ca.Function("g", [v, q], [value + k]), (count, 1)) for k in range(65)]
+    assert others[-1] is None  # there are 64 slots
+    assert np.isnan(np.array(pickle.loads(kept)(at, factor)[0])).all()
 
 
 def test_rows_with_the_same_index_are_summed(rng):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import subprocess
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache
 from pathlib import Path
@@ -30,7 +29,6 @@ LANES = (("__AVX512F__", 8), ("__AVX__", 4))  # doubles in a register, by macro 
 PORTABLE_LANES = 2  # on other machines
 PROBE_TIMEOUT = 20.0  # [s]
 BLOCK = 256  # lanes of a call of compiled steps, of less than a second; divisible by all of LANES
-MANY = 4000  # lanes after which CasADi evaluates a graph by `evaluate_lanes`
 OPERATORS = {
     ca.OP_ADD: "{}+{}",
     ca.OP_SUB: "{}-{}",
@@ -74,7 +72,6 @@ class EvaluatorOf(Generic[G]):
 
     def __init__(self, graphs: G) -> None:
         self.graphs = graphs
-        self._evaluated = Counter[str]()  # lanes of each graph
 
     def __call__(self, graph: Graph, states: Array) -> Array:
         """Return the results of a graph, shape (n_results, n).
@@ -84,8 +81,7 @@ class EvaluatorOf(Generic[G]):
         if not states.shape[1]:
             return np.empty((graph.function.numel_out(0), 0))
         results = np.zeros((graph.function.size1_in(1), states.shape[1]))
-        self._evaluated[graph.name] += states.shape[1]
-        is_many = self._evaluated[graph.name] > MANY and states.shape[1] > WIDTH / 4
+        is_many = states.shape[1] > WIDTH / 4
         run = evaluate_lanes if is_many else lambda *given: evaluate(*given)[0]
         row = 0
         for lookup, argument in zip(graph.lookups, graph.arguments, strict=True):

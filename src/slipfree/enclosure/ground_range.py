@@ -15,9 +15,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from slipfree.core.interval import Intervals, around
+from slipfree.core.lookups import pointer
 from slipfree.core.records import Array, Indices, Mask
 from slipfree.terrain.bicubic import Bicubic, basis
-from slipfree.terrain.kernel import pointer
 
 ORDERS = (3, 0), (2, 1), (1, 2), (0, 3), (1, 0), (0, 1)  # of derivatives that have bounds
 LEVELS = 7  # windows of 1, 2, 4, ... cells on each side of a cell, for which bounds are kept

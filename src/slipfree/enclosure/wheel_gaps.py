@@ -32,13 +32,12 @@ from slipfree.contact.closure import check_exact_closure
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.interval import Intervals, around, evaluate_interval, exactly, stack
-from slipfree.core.lookups import LookupTable
+from slipfree.core.lookups import LookupTable, library, pointer
 from slipfree.core.records import Array, Indices, Mask, leaves, pack
 from slipfree.enclosure.ground_range import GroundRange, Jets
 from slipfree.geometry.frame import turn, unit_vector
 from slipfree.models.base import VehicleState, carriers, masses_of, platform_pose, values_of
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.terrain.kernel import library, pointer
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.shapes import bounding_box
 

@@ -2,9 +2,8 @@
 
 A block is a function of few unknowns, repeated at many points. Results of ground lookups are its
 arguments, so that it contains no calls: it is the same for every ground, and CasADi computes its
-exact derivatives. Compiled functions of a block are called point by point; operations of other
-functions are applied to columns with one number per point. The results are added to large sparse
-matrices by index.
+exact derivatives. They are evaluated for many points at once (`slipfree.core.lookups.in_lanes`),
+or point by point if they are compiled. The results are added to large sparse matrices by index.
 """
 
 from __future__ import annotations
@@ -17,20 +16,11 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.core.lookups import (
-    Lookup,
-    check_order,
-    evaluate_by_columns,
-    found_column,
-    needed_lookups,
-    repeat_constants,
-    split_columns,
-)
+from slipfree.core.lookups import Lookup, check_order, found_column, in_lanes, needed_lookups
 from slipfree.core.records import Array
 from slipfree.system.codegen_cache import compiled_functions
 
 Index = npt.NDArray[np.intp]
-FEW_POINTS = 40  # with fewer points, columns do not pay within the iterations of a search
 DERIVATIVE_ORDER = 4  # of the ground height: two in the model, two more in the Hessian
 BlockFunctions = tuple[ca.Function, ca.Function, ca.Function, ca.Function]
 # results of the functions of a block, by rows and columns: unknowns "v", rows "g", or one
@@ -184,10 +174,7 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
     sizes = {"": np.ones(1), "v": scale, "g": np.ones(n_g)}
     of = [w, p, sigma, multipliers]
     gradient, jacobian = together("gradient"), together("jacobian")
-    # A function that is called computes all of its results; of others, rows take only their
-    # operations. The first block is the largest.
-    is_called = _is_called(blocks[0].jacobian, len(blocks[0].constants))
-    (g,) = together("rows") if is_called else jacobian[:1]
+    (g,) = together("rows")
     return ProgramFunctions(
         w,
         p,
@@ -203,22 +190,17 @@ def _gather(values: ca.MX, where: Index) -> ca.MX:
     return ca.reshape(values[where.T.ravel().tolist()], *where.shape)
 
 
-def _is_called(f: ca.Function, count: int) -> bool:
-    """Return whether a function is called point by point, not applied to columns of points.
-
-    The interpreter takes 32 instead of 14 ms for a Hessian at 36 points, but needs no columns,
-    whose construction takes as long as 87 such Hessians; at 120 points as long as 16.
-    """
-    return 1 < count < FEW_POINTS or not f.is_a("SXFunction") or bool(f.find_functions())
-
-
 def _evaluate_everywhere(f: ca.Function, arguments: Sequence[ca.MX], count: int) -> list[ca.MX]:
     """Return each result of a block's function as a column, the first entry at all points first."""
-    if not _is_called(f, count):
-        return repeat_constants(evaluate_by_columns(f, [*map(split_columns, arguments)]), count)
-    same = [k for k, rows in enumerate(arguments) if rows.shape[0] == 1 < count]
-    results = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])
-    return [ca.vec(ca.reshape(part.nz[:], -1, count).T) for part in results]
+    rows = tuple(each.shape[0] for each in arguments)
+    if count > 1 and (run := in_lanes(f, rows)) is not None:
+        return [ca.vec(part) for part in run.call([*arguments])]
+    run = f.map("all", "serial", count, [k for k, n in enumerate(rows) if n == 1 < count], [])
+    results = run.call([each.T for each in arguments])
+    return [  # CasADi returns constant zeros without entries
+        ca.vec(ca.reshape(part.nz[:], -1, count).T) if part.nnz() else ca.MX.zeros(f.nnz_out(k))
+        for k, part in enumerate(results)
+    ]
 
 
 def _sum_entries(

@@ -15,6 +15,7 @@ import numpy as np
 
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Lines
+from slipfree.core.lookups import library
 from slipfree.files.maps import elevation
 from slipfree.files.maps.raster import RasterParts, Reading, raster_parts
 from slipfree.files.maps.reference_systems import from_degrees
@@ -27,7 +28,6 @@ from slipfree.problem.schema import TerrainKeys
 from slipfree.terrain.base import MAX_HEIGHT, Grid, check_friction
 from slipfree.terrain.bicubic import Outline, outline, parts_of
 from slipfree.terrain.grid_ops import MAX_NODES, Changed, Window, cut, disturbed, smoothed
-from slipfree.terrain.kernel import library
 from slipfree.terrain.rolled import NODES, rolled
 from slipfree.terrain.synthetic import FEATURES, Rock, blank, place_rocks
 

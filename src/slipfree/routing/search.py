@@ -482,7 +482,7 @@ def routes(
             f"{point_text(start)}; move one of them"
         )
     ends = np.asarray(start, float), np.asarray(goal, float)
-    obstacles = obstacle_points(layers)
+    obstacles = obstacle_points(layers) if count > 1 else np.empty((0, 2))
     by_class: dict[tuple[int, ...], Route] = {}
     pending: list[tuple[float, tuple[Ray, ...]]] = [(0.0, ())]
     for _ in range(MAX_SEARCHES * count):

@@ -14,7 +14,6 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
-from scipy.interpolate import RectBivariateSpline
 
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable, lookup_function
@@ -26,6 +25,7 @@ from slipfree.show.meshes import clipped
 from slipfree.show.plots import Plot, PlottedDrive
 from slipfree.show.style import COLUMN, MM, PAGE
 from slipfree.terrain.base import Grid, Terrain
+from slipfree.terrain.bicubic import basis, coefficients_of
 from slipfree.terrain.solids import Prism, Profile, section_of
 
 HEATMAP = 601  # samples of a drawn map along an axis
@@ -242,15 +242,19 @@ def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
 
 def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
     """Return x, y and heights of a window at ``count`` nodes per side, NaN in holes [m]."""
-    kept, fine = [], []
+    kept, fine, weights = [], [], []
     for axis, low, high in ((grid.x, *window[:2]), (grid.y, *window[2:])):
         last = min(int(np.searchsorted(axis, high)) + 3, axis.size)
         first = max(min(int(np.searchsorted(axis, low)) - 3, last - 4), 0)
-        nodes = np.linspace(first, last - 1, min(last - first, count))
-        kept.append(nodes.round().astype(int))
+        kept.append(np.arange(first, last, -(-(last - first) // count)))  # at most count nodes
         fine.append(np.linspace(low, high, count))
-    spline = RectBivariateSpline(grid.x[kept[0]], grid.y[kept[1]], grid.z[np.ix_(*kept)])
-    z = np.round(spline(*fine), DIGITS)
+        nodes, size = axis[kept[-1]], kept[-1].size
+        at = np.clip((fine[-1] - nodes[0]) / (nodes[1] - nodes[0]), 0, size - 1)
+        cell = np.minimum(at.astype(int), size - 2)
+        weights.append(np.zeros((size + 2, count)))
+        weights[-1][cell + np.arange(4)[:, None], np.arange(count)] = basis(at - cell)[0]
+    table = coefficients_of(grid.z[np.ix_(*kept)], through=True)
+    z = np.round(weights[0].T @ table @ weights[1], DIGITS)
     z[grid.touches(grid.holes, fine[0][:, None], fine[1][None, :])] = np.nan
     return fine[0], fine[1], z
 

@@ -1,6 +1,7 @@
 /* Bicubic spline grounds in plain C: the polynomial of the cell at a point, and the point nearest to
  * a wheel, as CasADi calls external functions. `kernel.py` opens grounds and says what the numbers mean; `bicubic.py` does the same
- * without a compiler, and is what this is tested against.
+ * without a compiler, and is what this is tested against. Functions of many points are opened by
+ * `in_lanes` of core/lookups.py.
  *
  * Every ground that is open has a slot, whose function carries its number in its name: groundN,
  * from (x, y, key) to the middle of the cell and the 16 derivatives there, orders in x fastest; and
@@ -284,6 +285,132 @@ static int nearest(const Ground *g, const double **arg, double *res) {
   return 0;
 }
 
+/* A function without calls at many points. Every operation is applied to WIDTH points at once, by
+ * which the time to read it hardly counts. */
+#define WIDTH 64
+
+typedef struct {
+  const int *code;            /* four numbers each: operation, target, two sources */
+  casadi_int length, points;  /* of the code; of the function's matrices: one point in each row */
+  const double *numbers;      /* constants, by operation */
+  const casadi_int *shapes;   /* of arguments, of the key and of results, in CasADi's layout */
+  casadi_int n_in, n_out, registers, uses;
+  double key;                 /* as of grounds: of another function there are no numbers */
+} Lanes;
+
+static Lanes lanes[SLOTS];
+
+#ifdef __GNUC__
+#define POINTS _Pragma("GCC ivdep") for (i = 0; i < WIDTH; i++)
+#else
+#define POINTS for (i = 0; i < WIDTH; i++)
+#endif
+#define UNARY(OPERATION, VALUE) case OPERATION: POINTS { double x = a[i]; r[i] = VALUE; } break;
+#define BINARY(OPERATION, VALUE)                                                                   \
+  case OPERATION: POINTS { double x = a[i], y = b[i]; r[i] = VALUE; } break;
+
+/* In the order of OPERATIONS in kernel.py; registers of WIDTH numbers are in `w`. */
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__)
+__attribute__((target_clones("avx2", "default")))
+#endif
+static int run_lanes(const Lanes *f, const double **arg, double **res, double *w) {
+  const double *key = arg[f->n_in - 1];
+  int is_known = key && *key == f->key;
+  casadi_int begin, k, i;
+  for (k = 0; k < f->n_out; k++) {
+    const casadi_int *shape = f->shapes + 3 * (f->n_in + k);
+    for (i = 0; res[k] && i < shape[0] * shape[1]; i++) res[k][i] = is_known ? 0 : NAN;
+  }
+  if (!is_known) return 0;
+  for (begin = 0; begin < f->points; begin += WIDTH) {
+    casadi_int left = f->points - begin < WIDTH ? f->points - begin : WIDTH;
+    const int *code = f->code;
+    for (k = 0; k < f->length; k++, code += 4) {
+      double *r = w + WIDTH * code[1];
+      const double *a = w + WIDTH * code[2], *b = w + WIDTH * code[3];
+      switch (code[0]) {
+        case 0: { /* from an argument, with a row for each point or one for all */
+          casadi_int rows = f->shapes[3 * code[2]];
+          const double *from = arg[code[2]] ? arg[code[2]] + rows * code[3] : NULL;
+          for (i = 0; i < WIDTH; i++)
+            r[i] = from ? from[rows == 1 ? 0 : begin + (i < left ? i : left - 1)] : 0;
+          break;
+        }
+        case 1: /* to a result */
+          if (res[code[1]])
+            memcpy(res[code[1]] + f->points * code[3] + begin, a, (size_t)left * sizeof(double));
+          break;
+        case 2: POINTS r[i] = f->numbers[k]; break;
+        UNARY(3, x)
+        BINARY(4, x + y)
+        BINARY(5, x - y)
+        BINARY(6, x * y)
+        BINARY(7, x / y)
+        UNARY(8, -x)
+        UNARY(9, x * x)
+        UNARY(10, 2 * x)
+        UNARY(11, 1 / x)
+        UNARY(12, sqrt(x))
+        UNARY(13, sin(x))
+        UNARY(14, cos(x))
+        UNARY(15, tan(x))
+        UNARY(16, asin(x))
+        UNARY(17, acos(x))
+        UNARY(18, atan(x))
+        BINARY(19, atan2(x, y))
+        UNARY(20, exp(x))
+        UNARY(21, log(x))
+        BINARY(22, pow(x, y))
+        BINARY(23, pow(x, y))
+        UNARY(24, fabs(x))
+        UNARY(25, x < 0 ? -1 : x > 0 ? 1 : x)
+        BINARY(26, fmin(x, y))
+        BINARY(27, fmax(x, y))
+        BINARY(28, x < y)
+        BINARY(29, x <= y)
+        BINARY(30, x == y)
+        BINARY(31, x != y)
+        UNARY(32, !x)
+        BINARY(33, x && y)
+        BINARY(34, x || y)
+        BINARY(35, x ? y : 0)
+        UNARY(36, floor(x))
+        UNARY(37, tanh(x))
+        BINARY(38, hypot(x, y))
+        UNARY(39, expm1(x))
+        UNARY(40, log1p(x))
+        UNARY(41, sinh(x))
+        UNARY(42, cosh(x))
+        UNARY(43, ceil(x))
+        BINARY(44, fmod(x, y))
+        BINARY(45, copysign(x, y))
+        UNARY(46, erf(x))
+        default: return 1;
+      }
+    }
+  }
+  return 0;
+}
+
+#define LANES(N)                                                                                   \
+  API casadi_int lanes##N##_n_in(void) { return lanes[N].n_in; }                                   \
+  API casadi_int lanes##N##_n_out(void) { return lanes[N].n_out; }                                 \
+  API const casadi_int *lanes##N##_sparsity_in(casadi_int k) { return lanes[N].shapes + 3 * k; }   \
+  API const casadi_int *lanes##N##_sparsity_out(casadi_int k) {                                    \
+    return lanes[N].shapes + 3 * (lanes[N].n_in + k);                                              \
+  }                                                                                                \
+  API void lanes##N##_incref(void) { lanes[N].uses++; }                                            \
+  API void lanes##N##_decref(void) { lanes[N].uses--; }                                            \
+  API int lanes##N##_work(casadi_int *args, casadi_int *results, casadi_int *iw, casadi_int *w) {  \
+    *args = lanes[N].n_in, *results = lanes[N].n_out, *iw = 0;                                     \
+    *w = WIDTH * lanes[N].registers;                                                               \
+    return 0;                                                                                      \
+  }                                                                                                \
+  API int lanes##N(const double **arg, double **res, casadi_int *iw, double *w, int mem) {         \
+    (void)iw, (void)mem;                                                                           \
+    return run_lanes(&lanes[N], arg, res, w);                                                      \
+  }
+
 /* Dense columns in CasADi's layout: rows, columns, 1. */
 static const casadi_int POINT[] = {3, 1, 1}, CELL[] = {18, 1, 1}, WHEEL[] = {10, 1, 1},
   NEAREST[] = {13, 1, 1};
@@ -301,7 +428,8 @@ static const casadi_int POINT[] = {3, 1, 1}, CELL[] = {18, 1, 1}, WHEEL[] = {10,
   }
 #define SLOT(N)                                                                                    \
   FUNCTION(ground, N, POINT, CELL, polynomial)                                                     \
-  FUNCTION(nearest, N, WHEEL, NEAREST, nearest)
+  FUNCTION(nearest, N, WHEEL, NEAREST, nearest)                                                    \
+  LANES(N)
 SLOT(0) SLOT(1) SLOT(2) SLOT(3) SLOT(4) SLOT(5) SLOT(6) SLOT(7) SLOT(8) SLOT(9)
 SLOT(10) SLOT(11) SLOT(12) SLOT(13) SLOT(14) SLOT(15) SLOT(16) SLOT(17) SLOT(18) SLOT(19)
 SLOT(20) SLOT(21) SLOT(22) SLOT(23) SLOT(24) SLOT(25) SLOT(26) SLOT(27) SLOT(28) SLOT(29)
@@ -332,6 +460,15 @@ API void kernel_open(int slot, const double *table, casadi_int width, const doub
   g->first_j = numbers[6];
   g->last_i = numbers[7];
   g->last_j = numbers[8];
+}
+
+API int kernel_lanes_in_use(int slot) { return lanes[slot].uses != 0; }
+
+/* Sizes: operations, points, arguments with the key, results, registers, key. */
+API void kernel_open_lanes(int slot, const int *code, const double *numbers, const casadi_int *shapes,
+                           const casadi_int *sizes) {
+  Lanes f = {code, sizes[0], sizes[1], numbers, shapes, sizes[2], sizes[3], sizes[4], 0, sizes[5]};
+  lanes[slot] = f;
 }
 
 /* Heights at n local points. */

@@ -2,7 +2,8 @@
 
 `kernel.c` looks up the polynomial of a cell, as `slipfree.terrain.bicubic` does with CasADi
 interpolants, and the ground point nearest to a wheel, as `slipfree.contact.touch` does with a
-CasADi graph. CasADi calls both as external functions.
+CasADi graph. CasADi calls both as external functions, and functions at many points
+(`slipfree.core.lookups.in_lanes`).
 """
 
 from __future__ import annotations
@@ -10,19 +11,13 @@ from __future__ import annotations
 import ctypes
 import secrets
 import threading
-from functools import cache
-from importlib.machinery import EXTENSION_SUFFIXES
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from slipfree.core.lookups import Cells
+from slipfree.core.lookups import KEY_BITS, Cells, library, pointer
 from slipfree.core.records import Array, Indices
-
-KEY_BITS = 52  # bits of integers that a double represents exactly
-LAYOUT = 6  # version of the arguments of `kernel.c`; libraries of other versions are not used
 
 
 class Opened(NamedTuple):
@@ -120,21 +115,3 @@ def register_ground(cells: Cells) -> Opened | None:
 
 _LOCK = threading.Lock()
 _TABLES: dict[int, Array] = {}  # tables of the slots, kept alive
-
-
-@cache
-def library() -> ctypes.CDLL | None:
-    """Return the compiled evaluator; None if it cannot be used."""
-    for file in (Path(__file__).with_name(f"_kernel{suffix}") for suffix in EXTENSION_SUFFIXES):
-        try:
-            kernel = ctypes.CDLL(str(file))
-            if kernel.kernel_layout() == LAYOUT:
-                return kernel
-        except (OSError, AttributeError):  # missing, of another system, or of an older version
-            continue
-    return None
-
-
-def pointer(array: np.ndarray[Any, Any]) -> ctypes.c_void_p:
-    """Return the address of a contiguous array."""
-    return array.ctypes.data_as(ctypes.c_void_p)
