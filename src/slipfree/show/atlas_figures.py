@@ -106,33 +106,24 @@ def _image(drawn: AtlasView, values: Array, scale: Colormap, norm: Normalize, ax
     map_axes(drawn.x, drawn.y, ax).axis(where["extent"])
 
 
-def _sized(drawn: AtlasView, columns: int = 1, below: float = 0.0) -> Figure:
-    width = PAGE / columns - 25 * MM
-    height = width * np.ptp(drawn.y) / np.ptp(drawn.x)
-    return style.figure(PAGE, float(np.clip(height, 40 * MM, PAGE)) + (18 + below) * MM)
-
-
-def _bar(figure: Figure, ax: Any, scale: Colormap, norm: Normalize, label: str, **how: Any) -> None:
-    figure.colorbar(ScalarMappable(norm, scale), ax=ax, label=label, shrink=0.85, **how)
-
-
 def _headings(drawn: AtlasView) -> Figure:
     """Draw the share of headings at which the vehicle can stand or is allowed."""
     band = drawn.maps[ALLOWED if ALLOWED in drawn.maps else STANDING]
-    figure = _sized(drawn)
+    figure = style.figure(PAGE, PAGE)  # cropped below
     ax = figure.subplots()
     count = drawn.headings
     scale = colormaps[SHARE].resampled(min(count, 24) + 1)
     norm = Normalize(-0.5 / count, 1 + 0.5 / count)  # each number of headings has one colour
     _image(drawn, band.values, scale, norm, ax)
-    _bar(figure, ax, scale, norm, f"share of {count} headings [1]", ticks=np.linspace(0, 1, 5))
+    bar = style.side_bar(ScalarMappable(norm, scale), ax, f"share of {count} headings [1]")
+    bar.set_ticks(np.linspace(0, 1, 5))
     ax.set_title(textwrap.fill(f"Share of headings at which {_share_words(drawn)}", WRAP))
-    return figure
+    return style.cropped(figure, ax)
 
 
 def _friction(drawn: AtlasView) -> Figure:
     """Draw the least friction coefficient at the best and at the worst heading."""
-    figure = _sized(drawn, 2, below=6)
+    figure = style.figure(PAGE, PAGE)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     bands, scale = friction_maps(drawn.maps), style.RISK
     values = np.concatenate([band.values.ravel() for band in bands])
@@ -144,8 +135,9 @@ def _friction(drawn: AtlasView) -> Figure:
         _image(drawn, band.values, scale, norm, ax)
         ax.set_title(f"Least friction, {name} heading (grey: no pose)")
     axes[1].set_ylabel("")
-    _bar(figure, axes, scale, norm, "least coefficient of friction [1]", extend="max")
-    return figure
+    drawn_scale = ScalarMappable(norm, scale)
+    style.side_bar(drawn_scale, axes[1], "least coefficient of friction [1]", "max")
+    return style.cropped(figure, axes[0])
 
 
 def _limit(drawn: AtlasView) -> Figure:
@@ -162,7 +154,7 @@ def _limit(drawn: AtlasView) -> Figure:
         for code in (0, *order)
     ]
     room = 4.2 * sum(label.count("\n") + 1 for label in labels)
-    figure = _sized(drawn, below=room)
+    figure = style.figure(PAGE, PAGE + room * MM)
     ax = figure.subplots()
     _image(drawn, shown, ListedColormap(colors), Normalize(-0.5, len(colors) - 0.5), ax)
     handles = [
@@ -171,4 +163,4 @@ def _limit(drawn: AtlasView) -> Figure:
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=1)
     ax.set_title("Most frequent reason that excludes headings (share of the nodes)")
-    return figure
+    return style.cropped(figure, ax)
