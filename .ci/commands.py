@@ -79,7 +79,7 @@ AFTER = {
     "plan_tilt_limits": ["export plan_tilt_limits.nc --rates plan_rates.csv"],
 }
 ALSO = [  # of --few as well: a library that is compiled and kept, a file written by tomlkit
-    ["run problems/paper_direct.toml --set solver.compiled=true --no-draw -o compiled.nc"],
+    ["run problems/paper_direct.toml --set solver.compiled=true --no-draw -o compiled.nc"]
 ]
 OTHERS = [
     ["--version"],

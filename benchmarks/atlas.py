@@ -91,10 +91,7 @@ def rates() -> None:
     for name, vehicle in VEHICLES.items():
         model = direct_kinematics(vehicle, terrain)
         atlas(model, headings=1, x=grid.x[:64:8], y=grid.y[:64:8])  # compiles
-        took, found = cpu(
-            lambda m=model: atlas(m, terrain, headings=HEADINGS, y=grid.y[2::16]),
-            1,
-        )
+        took, found = cpu(lambda m=model: atlas(m, terrain, headings=HEADINGS, y=grid.y[2::16]), 1)
         count = found["reason"].size
         whole = HEADINGS * grid.x.size * grid.y.size
         reasons = Counter(found["reason"].ravel().astype(int).tolist())

@@ -115,10 +115,7 @@ def rate() -> None:
     print(f"{'':32}CPU of a cycle [ms]  cycles/s, 2 threads  error of ends, cost: median, 95 %")
     for name, vehicle in NAMES.items():
         model = direct_kinematics(vehicle, rough())
-        for words, dae in (
-            ("wheel rates", model),
-            ("commands", commanded(model, speed=SPEED)),
-        ):
+        for words, dae in (("wheel rates", model), ("commands", commanded(model, speed=SPEED))):
             x = dae.rows("x", settle(dae), -1) + dae.shift[0]
             times = []
             for threads in (1, 2):

@@ -22,16 +22,7 @@ import casadi as ca
 import numpy as np
 from common import run_parts
 
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Grid,
-    SolverOptions,
-    catalog,
-    dynamics,
-    settle,
-    simulate,
-)
+from slipfree import Analytic, Bicubic, Grid, SolverOptions, catalog, dynamics, settle, simulate
 from slipfree.core.trajectory import Trajectory, path_length
 from slipfree.laws.compliant import Compliant
 from slipfree.terrain.base import Terrain

@@ -17,15 +17,7 @@ from common import PROBLEMS, run_parts
 
 from helpers.cases import hills
 from helpers.dynamics import slope
-from helpers.friction_cases import (
-    PLACE,
-    RATES,
-    dissipation,
-    flat,
-    from_linear,
-    from_rolling,
-    order,
-)
+from helpers.friction_cases import PLACE, RATES, dissipation, flat, from_linear, from_rolling, order
 from slipfree import (
     Analytic,
     Coulomb,

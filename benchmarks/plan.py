@@ -116,11 +116,7 @@ class Row(NamedTuple):
 
 
 def planned(
-    terrain: Any,
-    *,
-    rates: tuple[float, float] = STARTS[0],
-    compiled: bool = False,
-    **options: Any,
+    terrain: Any, *, rates: tuple[float, float] = STARTS[0], compiled: bool = False, **options: Any
 ) -> tuple[Plan, float]:
     """Return the plan of the task on a ground, and its wall time [s].
 

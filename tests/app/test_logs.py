@@ -25,7 +25,7 @@ from helpers.drives import HALF, HILL, Truth, drives
 from slipfree import DataError, catalog
 from slipfree.core.records import Array
 from slipfree.files.logs import MotionLog, check_motion, rate_ratios
-from slipfree.files.mcap import write_mcap
+from slipfree.files.mcap import read_motion_log, write_mcap
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
 from slipfree.files.toml import ProblemError
@@ -99,15 +99,16 @@ def mixed(rows: Array) -> str:
 
 def merged() -> str:
     """Return poses and rates in rows of their own, as topics that were joined."""
-    lines = [
-        line
-        for t, left, right, *pose in DRIVE.tolist()
-        for line in (
-            f"{t:.6f},{left:.9f},{right:.9f},,,",
-            f"{t + 1e-5:.6f},,," + ",".join(f"{each:.9f}" for each in pose),
-        )
-    ]
-    return "\n".join([HEAD, *lines, ""])
+    rows = np.repeat(DRIVE, 2, axis=0)
+    rows[1::2, 0] += 1e-5
+    rows[::2, 3:] = rows[1::2, 1:3] = np.nan
+    return table(rows).replace("nan", "")
+
+
+def sparse(rows: Array) -> Array:
+    """Return rows of which every tenth has a pose."""
+    is_pose = np.arange(rows.shape[1]) // 3 == 1
+    return np.where(np.arange(len(rows))[:, None] % 10 * is_pose > 0, np.nan, rows)
 
 
 def quaternions(names: str, count: int) -> str:
@@ -165,6 +166,16 @@ def test_logs_that_are_read_as_they_are_meant(kind: str) -> None:
     assert_allclose(found.place, wanted.place, atol=2e-5)
     assert_allclose(found.inputs, wanted.inputs, atol=1e-3)
     assert found.good.all()
+
+
+def test_inputs_of_rows_without_poses_are_used() -> None:
+    """Samples of several rows have means, whose integral is that of the rows."""
+    fast = DRIVE * [0.2, 5, 5, 1, 1, 1]
+    rows = sparse(np.column_stack([fast, (fast[:, 2] - fast[:, 1]) * RADIUS / TRACK]))
+    found, words = read(table(rows, HEAD + ",gyro"), "yaw_rate = 'gyro'")
+    assert words == "79 samples; 360 rows left out: no position or heading (inputs are used)"
+    for each in (found, found._replace(yaw_rate=found.inputs @ [RADIUS, -RADIUS] / TRACK)):
+        assert_allclose(each.turned, DRIVE[:391:5, 5] - 0.1, atol=2e-3)
 
 
 LATE = [*range(40), 41, 40, *range(42, 400)]
@@ -298,7 +309,7 @@ def test_a_drive_to_one_side_has_no_sense_of_turning() -> None:
 
 def test_remedies_work() -> None:
     """Parts of a divided log are one fit or a test; degrees are projected; a compass is turned."""
-    for name, rows in (("a.csv", DRIVE), ("b.csv", OTHER)):
+    for name, rows in (("a.csv", DRIVE), ("b.csv", sparse(OTHER))):
         Path(name).write_text(table(rows))
     problem = 'model = "kinematics"\n' + PROBLEM + LEAST_SLIP
     Path("fit.toml").write_text(problem.replace('"log.csv"', '["a.csv", "b.csv"]'))
@@ -463,7 +474,14 @@ def test_a_log_with_headings_from_x() -> None:
 
 
 @pytest.mark.slow
-def test_results_of_slipfree_are_logs() -> None:
+def test_results_of_slipfree_are_logs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses of an MCAP file may be rarer than its joint states."""
+
+    def rare(path: Path) -> tuple[dict[str, Array], object]:
+        poses, joints = read_motion_log(path)
+        return {name: column[::5] for name, column in poses.items()}, joints
+
+    monkeypatch.setattr("slipfree.files.logs.read_motion_log", rare)
     vehicle, times, _ = _motion()
     dae = sf.direct_kinematics(vehicle, sf.Analytic(lambda x, _: 0 * x))
     left, right = 2 + dae.t / 10, 3 - dae.t / 20
@@ -550,7 +568,8 @@ def test_units_by_the_travel_of_the_wheels(factors: dict[int, float], words: str
     for column, factor in factors.items():
         log[:, column] *= factor
     values = {"x": log[:, 3], "y": log[:, 4]}
-    read = MotionLog(Path("log.csv"), log[:, 0], values, (), Counter(), (0.0, 0.0))
+    every = np.arange(201), {"t": log[:, 0]}, TIMES >= 0
+    read = MotionLog(Path("log.csv"), log[:, 0], values, (), Counter(), (0.0, 0.0), *every)
     check = partial(check_motion, read, ratios=rate_ratios([0.15, 0.15]))
     refuses(sf.DataError, re.escape(words), check, speed=0.15 * log[:, 1:3].mean(axis=1))
     check(speed=np.where(TIMES < 10, 1.0, -0.2) * log[:, 1])  # the wheels slip

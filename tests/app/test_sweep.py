@@ -34,17 +34,7 @@ from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import load_problem
 from slipfree.show import study_figures as show
 from slipfree.show.plots import Swept, Varied
-from slipfree.sweep import (
-    Done,
-    Rows,
-    RunRow,
-    RunTask,
-    axis_of,
-    drawn_grids,
-    grids,
-    sweep_of,
-    work,
-)
+from slipfree.sweep import Done, Rows, RunRow, RunTask, axis_of, drawn_grids, grids, sweep_of, work
 from slipfree.system import processes
 from slipfree.system.parts import LOG
 from slipfree.system.processes import finish_tasks

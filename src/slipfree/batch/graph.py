@@ -225,12 +225,7 @@ def _moved(
     places = [k for k, label in enumerate(leaves(dae.labels.z[0])) if label.name == "contact_x"]
     fast = [ca.hypot(follow[k], follow[k + 1]) for k in places]
     speed = ca.mmax(ca.vertcat(ca.hypot(v_x, v_y) + dae.size * ca.fabs(turn), *fast))
-    return p - eliminate(jacobian, closure), (
-        ca.vertcat(ode, follow, *quad),
-        rates,
-        error,
-        speed,
-    )
+    return p - eliminate(jacobian, closure), (ca.vertcat(ode, follow, *quad), rates, error, speed)
 
 
 def _rates(dae: Dae, w: ca.SX, eliminate: Solve) -> tuple[ca.SX, ca.SX]:

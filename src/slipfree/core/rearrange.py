@@ -52,11 +52,7 @@ def new_variable(dae: Dae, label: Label, symbol: ca.SX | None = None) -> ModelVa
 
 
 def rearrange(
-    dae: Dae,
-    x: Any,
-    z: Any,
-    u: Any,
-    equations: Sequence[tuple[ca.SX, Sequence[Label]]],
+    dae: Dae, x: Any, z: Any, u: Any, equations: Sequence[tuple[ca.SX, Sequence[Label]]]
 ) -> Dae:
     """Return a model with rearranged states, unknowns and inputs.
 
@@ -82,10 +78,7 @@ def rearrange(
         held=None,
         alg=tuple(rows for rows, _ in equations),
         labels=dae.labels._replace(
-            x=labels[0],
-            z=labels[1],
-            u=labels[2],
-            alg=tuple(tuple(names) for _, names in equations),
+            x=labels[0], z=labels[1], u=labels[2], alg=tuple(tuple(names) for _, names in equations)
         ),
         guess=ca.densify(guess),
         lookups=(*dae.lookups, *lookups),
@@ -135,9 +128,7 @@ def with_outputs(dae: Dae, outputs: Sequence[tuple[Label, ca.SX]]) -> Dae:
     """Return a model with additional outputs, given as labels and expressions."""
     labels, expressions = (tuple(each[k] for each in outputs) for k in (0, 1))
     return replace(
-        dae,
-        y=(dae.y, expressions),
-        labels=dae.labels._replace(y=(dae.labels.y, labels)),
+        dae, y=(dae.y, expressions), labels=dae.labels._replace(y=(dae.labels.y, labels))
     )
 
 

@@ -68,11 +68,14 @@ class MotionLog(NamedTuple):
     """A log: times, columns by name, notes, and rows that were left out or held."""
 
     path: Path
-    t: Array  # shape (n,): times from the first row or date [s]
+    t: Array  # shape (n,): times from the first row or date, of rows with poses [s]
     values: dict[str, Array]  # shape (n,) each, without gaps
     notes: tuple[str, ...]  # on units
     left_out: Counter[str]  # numbers of rows by reason
     held: tuple[float, float]  # longest time for which an input was held, and its start [s]
+    rows: Indices  # shape (n,): numbers of the rows among all of the file, from 0
+    every: dict[str, Array]  # shape (m,) each: t and columns of all rows; only inputs have no gaps
+    has_input: Mask  # shape (m,): rows that give an input, or in which it is held over a gap
 
     @property
     def rows_left_out(self) -> list[str]:
@@ -104,9 +107,9 @@ def read_log(
     are the names of columns that are inputs, ``kind`` is that of the file in messages. Rows without
     a pose, or with a stated ``error`` of the position above ``max_error`` [m], are left out. Inputs
     are held until they are given again, for at most ``timeout`` [s], and zero after it; with
-    ``is_linear``, they are linear between rows that are not farther apart than a gap. DataError is
-    raised for times that decrease, jump or belong to two poses, and for positions that alternate
-    between two drives.
+    ``is_linear``, they are linear between rows that are not farther apart than a gap. They are
+    known in rows without a pose, too. DataError is raised for times that decrease, jump or belong
+    to two poses, and for positions that alternate between two drives.
     """
     names = dict(columns) if isinstance(columns, Mapping) else {name: name for name in columns}
     if path.suffix == ".nc":
@@ -126,6 +129,7 @@ def read_log(
             raise _degrees(path, table.values, [names["x"], names["y"]])
     values = dict(table.values)
     t = values.pop("t")
+    has_input = np.zeros(t.size, bool)
     is_apart = np.diff(values.get("window", 0 * t)) != 0
     is_fit = bool(inputs) and "x" in names
     _check_times(path, table, is_apart, is_fit=is_fit)
@@ -149,6 +153,8 @@ def read_log(
             following = np.minimum(np.searchsorted(rows, np.arange(t.size)), rows.size - 1)
             is_near = (t[rows[following]] - t[last] <= longest_gap(t[rows])) & (age > 0)
             held = np.where(is_near, np.interp(t, t[rows], values[name][rows]), held)
+            has_input |= ~is_near | is_late
+        has_input[rows] = True
         values[name] = np.where(is_late, 0.0, held)
         # the first row of a window does not wait for the window before it
         waits = np.where(is_apart[rows[1:] - 1], 0.0, np.diff(t[rows]))
@@ -157,7 +163,8 @@ def read_log(
     reasons = dict[str, Mask]()
     if "x" in values:
         poses = [np.isfinite(values[name]) for name in POSE if name in values]
-        reasons["no position or heading"] = ~np.logical_and.reduce(poses)
+        pose = "no position or heading" + " (inputs are used)" * bool(inputs)
+        reasons[pose] = ~np.logical_and.reduce(poses)
         reasons[f"stated error above {max_error:g} m"] = values.get("error", 0 * t) > max_error
     reasons["before the first command or rate"] = ~given
     good, left_out = np.ones(t.size, bool), Counter[str]()
@@ -182,6 +189,9 @@ def read_log(
         table.notes,
         +left_out,
         (longest, start),
+        np.flatnonzero(good),
+        {"t": t, **values},
+        has_input,
     )
 
 
@@ -300,9 +310,9 @@ def check_motion(
         Log with x and y, and possibly the heading.
     zero : float
         Angle from the x axis from which headings count. [rad]
-    speed : array, shape (n,), optional
-        Mean speed of the driven wheels' treads. [m/s]
-    sides : array, shape (2, n), optional
+    speed : array, shape (m,), optional
+        Mean speed of the driven wheels' treads in all rows. [m/s]
+    sides : array, shape (2, m), optional
         Mean speeds of those on the left and on the right. [m/s]
     ratios : mapping, optional
         Motion over the travel of the wheels if columns have other units, by a description; None if
@@ -330,11 +340,11 @@ def check_motion(
     size, turns, sign = np.abs(chords), None, 2  # courses are known up to the direction of travel
 
     def change(total: Array, late: float = 0.0) -> Array:
-        ends = [np.interp(t[fresh][rows + k] - late, t, total) for k in (0, step)]
+        ends = [np.interp(t[fresh][rows + k] - late, log.every["t"], total) for k in (0, step)]
         return np.asarray(np.diff(ends, axis=0)[0])
 
     def path(rate: Array) -> Array:
-        return np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(t)))
+        return np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(log.every["t"])))
 
     if sides is not None:
         paths = [*map(path, sides)]
@@ -558,25 +568,28 @@ def _read_result(path: Path, columns: Mapping[str, str]) -> Columns:
 
 
 def _read_joints(path: Path, columns: Mapping[str, str]) -> Columns:
-    """Return poses, and rates and values of joints at their times, of an MCAP file.
+    """Return poses, and rates and values of joints in rows of their own, of an MCAP file.
 
     A column is the name of a joint, with ``_rate`` for its velocity.
     """
     pose, joints = read_motion_log(path)
-    table = dict(pose)
-    for name, column in columns.items():
-        joint = column.removesuffix("_rate")
-        if joint not in joints:
-            raise _no_rate(path, joint, joints)
-        states = joints[joint]
-        values = states.velocities if name.endswith("_rate") else states.positions
+    if missing := [n for n in columns.values() if n.removesuffix("_rate") not in joints]:
+        raise _no_rate(path, missing[0].removesuffix("_rate"), joints)
+    states = {name: joints[column.removesuffix("_rate")] for name, column in columns.items()}
+    every = np.unique(np.concatenate([each.t for each in states.values()]))
+    t = np.append(every, pose["t"])
+    table = {"t": t} | {key: np.append(np.full(every.size, np.nan), pose[key]) for key in POSE[:3]}
+    for name, own in states.items():
+        values = own.velocities if name.endswith("_rate") else own.positions
         if not np.isfinite(values).all():
             raise DataError(
-                f"{path}: expected values of joint {joint!r} in each message, found messages "
-                "without them; record positions and velocities"
+                f"{path}: expected values of joint {columns[name].removesuffix('_rate')!r} in each "
+                "message, found messages without them; record positions and velocities"
             )
-        table[name] = np.interp(pose["t"], states.t, values)
-    return Columns(table)
+        table[name] = np.full(t.size, np.nan)
+        table[name][np.searchsorted(every, own.t)] = values
+    order = np.argsort(t, kind="stable")
+    return Columns({name: column[order] for name, column in table.items()})
 
 
 def _no_rate(path: Path, name: str, known: Iterable[str]) -> DataError:

@@ -135,7 +135,7 @@ def _joint_commands(path: Path, first: int | None = None) -> dict[str, JointComm
                 row = ((absolute - first) / 1e9, position, velocity)
                 rows.setdefault(str(name), []).append(row)
     joints = {name: JointCommands(*np.array(table).T) for name, table in rows.items()}
-    if any(np.diff(joint.t, prepend=-1.0).min() <= 0 for joint in joints.values()):
+    if any(np.diff(joint.t, prepend=-np.inf).min() <= 0 for joint in joints.values()):
         raise DataError(
             f"{path}: expected increasing times of each joint in topic {topic!r}, found equal or "
             "decreasing ones; divide the recording where they decrease, and keep one per time"

@@ -28,6 +28,7 @@ HELD = 2.0  # median number of samples between new values from which values are 
 OLD = 0.5  # time from the start of a window to the first pose, where poses are held [s]
 MAX_AGE = 1.0  # of poses [s]
 LEAST_TURN = 0.5  # turn from which the age of headings is known [rad]
+ROUNDING = 1e-9  # of times [s]
 MIN_SPAN = 0.35  # least time between first and last pose [window]
 
 
@@ -157,13 +158,47 @@ def without_holds(values: Array, run: Indices, longest: float = np.inf) -> tuple
     return by_runs(np.arange(values.size), run, rows, run[rows], values[rows]), period
 
 
-def by_runs(at: Any, run_at: Indices, t: Any, run: Indices, values: Array) -> Array:
-    """Return values at other times or samples, linear between those of the same run."""
-    found = np.empty(at.size)
+def by_runs(
+    at: Any,
+    run_at: Indices,
+    t: Any,
+    run: Indices,
+    values: Array,
+    width: float = 0.0,
+    hold: float | None = None,
+) -> Array:
+    """Return values at other times or samples, linear between those of the same run.
+
+    With a ``width``, they are means over it. Values with a ``hold`` remain for this time, until the
+    next one, and are zero after it. Runs without values are NaN.
+    """
+    found = np.full(at.size, np.nan)
     for number in np.unique(run_at):
         here, own = run_at == number, run == number
-        found[here] = np.interp(at[here], t[own], values[own])
+        if own.any():
+            found[here] = _sampled(at[here], t[own], values[own], width, hold)
     return found
+
+
+def _sampled(at: Array, t: Array, values: Array, width: float, hold: float | None) -> Array:
+    if hold is not None:
+        late = np.flatnonzero(np.diff(t) > hold)
+        t, values = np.insert(t, late + 1, t[late] + hold), np.insert(values, late + 1, 0.0)
+
+    def value(times: Array) -> Array:
+        rows = np.searchsorted(t, times + ROUNDING, side="right") - 1
+        return np.interp(times, t, values) if hold is None else values[rows]
+
+    if t[-1] - t[0] <= width or not width:
+        return value(at)
+    ends = np.clip(np.add.outer([-width / 2, width / 2], at), t[0], t[-1])
+    knots = np.union1d(t, ends)
+    means = value((knots[1:] + knots[:-1]) / 2)  # between knots, values are linear or constant
+    low, high = np.interp(ends, knots, np.append(0.0, np.cumsum(means * np.diff(knots))))
+    mean = np.asarray((high - low) / (ends[1] - ends[0]))
+    mean[[0, -1]] = value(at[[0, -1]])
+    mean[1:-1] -= np.diff(mean, 2) / 8  # the trapezoidal rule then gives the integral
+    return mean
 
 
 def courses(log: DriveLog) -> ComplexArray:

@@ -117,10 +117,7 @@ def _linear_form(motion: Motion) -> tuple[ca.SX, ca.SX]:
     c, d = motion.constraints.linear or linear_form(rows, motion.rates)
     n = rows.numel()
     hessian = ca.tril2symm(ca.tril(weighted.T @ a))  # equal entries are one expression
-    return (
-        ca.blockcat([[hessian, c.T], [c, ca.SX(n, n)]]),
-        -ca.vertcat(weighted.T @ b, d),
-    )
+    return (ca.blockcat([[hessian, c.T], [c, ca.SX(n, n)]]), -ca.vertcat(weighted.T @ b, d))
 
 
 def linear_form(rows: ca.SX, rates: ca.SX) -> tuple[ca.SX, ca.SX]:

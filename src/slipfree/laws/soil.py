@@ -479,12 +479,7 @@ def wheel_size(wheel: Wheel) -> WheelSize:
 
 
 def forces_at_slip(
-    soil: Soil,
-    size: WheelSize,
-    depth: Any,
-    slip: Any,
-    angle: Any,
-    gravity: float = EARTH_GRAVITY,
+    soil: Soil, size: WheelSize, depth: Any, slip: Any, angle: Any, gravity: float = EARTH_GRAVITY
 ) -> SoilForces:
     """Return the forces on a wheel in steady motion for a depth, slip ratio and slip angle.
 

@@ -173,9 +173,7 @@ def _smooth_limit(limit: Limit) -> Limit:
 
 
 def timed_conditions(
-    dae: Dae,
-    goal: Conditions,
-    way_points: Mapping[float, Conditions],
+    dae: Dae, goal: Conditions, way_points: Mapping[float, Conditions]
 ) -> Iterator[TimedCondition]:
     """Yield the conditions at the way-points in order of time, then those at the goal."""
     for fraction, wanted in sorted(way_points.items()):

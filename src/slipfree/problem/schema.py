@@ -321,19 +321,13 @@ class Law(toml.Record):
 
 
 # Laws by their names in problem files: one line for each
-SLIP_LAWS: dict[str, type[SlipLaw]] = {
-    "least": LeastSlip,
-    "rolling": Rolling,
-}
+SLIP_LAWS: dict[str, type[SlipLaw]] = {"least": LeastSlip, "rolling": Rolling}
 GROUND_LAWS: dict[str, type[GroundLaw]] = {
     "coulomb": Coulomb,
     "linear_creep": LinearCreep,
     "soil": Soil,
 }
-CONTACT_LAWS: dict[str, type[ContactLaw]] = {
-    "compliant": Compliant,
-    "soil": Soil,
-}
+CONTACT_LAWS: dict[str, type[ContactLaw]] = {"compliant": Compliant, "soil": Soil}
 
 
 def law_tables() -> type[Law]:

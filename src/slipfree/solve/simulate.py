@@ -532,12 +532,7 @@ def simulate(
 
 
 def simulate_to_failure(
-    dae: Dae,
-    start: Trajectory,
-    inputs: Record,
-    t: Array,
-    options: SolverOptions,
-    **how: Any,
+    dae: Dae, start: Trajectory, inputs: Record, t: Array, options: SolverOptions, **how: Any
 ) -> Trajectory:
     """Simulate to the last time or to the first failure, which has samples before it.
 

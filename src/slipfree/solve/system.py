@@ -190,12 +190,7 @@ def _model_equations(
 
 
 def model_function(
-    dae: Dae,
-    name: str,
-    symbols: Sequence[ca.SX],
-    expressions: Sequence[ca.SX],
-    *,
-    compiled: bool,
+    dae: Dae, name: str, symbols: Sequence[ca.SX], expressions: Sequence[ca.SX], *, compiled: bool
 ) -> ca.Function:
     """Return expressions of a model as a function without derivatives, which may be compiled."""
     lookups = needed_lookups(dae.lookups, expressions)
@@ -352,10 +347,7 @@ class System(NamedTuple):
 
 
 def with_inputs(
-    dae: Dae,
-    inputs: Record,
-    intervals: int,
-    options: SolverOptions = SolverOptions(),
+    dae: Dae, inputs: Record, intervals: int, options: SolverOptions = SolverOptions()
 ) -> System:
     """Return a DAE under given inputs.
 

@@ -67,9 +67,7 @@ def load_or_compile(
     reason, if they can be neither loaded nor compiled.
     """
     return shared_library(
-        text,
-        lambda: source(make()),
-        lambda file: tuple(ca.external(name, file) for name in names),
+        text, lambda: source(make()), lambda file: tuple(ca.external(name, file) for name in names)
     )
 
 

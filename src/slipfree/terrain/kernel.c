@@ -309,8 +309,8 @@ static Lanes lanes[SLOTS];
 #define BINARY(OPERATION, VALUE)                                                                   \
   case OPERATION: POINTS { double x = a[i], y = b[i]; r[i] = VALUE; } break;
 
-/* In the order of OPERATIONS in core/lookups.py; registers of WIDTH numbers are in `w`. */
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__GLIBC__)
+/* In the order of OPERATIONS in kernel.py; registers of WIDTH numbers are in `w`. */
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__)
 __attribute__((target_clones("avx2", "default")))
 #endif
 static int run_lanes(const Lanes *f, const double **arg, double **res, double *w) {

@@ -437,11 +437,7 @@ class Omni(Section):
         return self.rim.tread_radius(axial, radial)
 
 
-SECTIONS: dict[str, type[Section]] = {
-    "torus": Torus,
-    "disc": Disc,
-    "sphere": Sphere,
-}
+SECTIONS: dict[str, type[Section]] = {"torus": Torus, "disc": Disc, "sphere": Sphere}
 
 
 @checked

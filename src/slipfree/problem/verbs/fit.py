@@ -543,7 +543,7 @@ class _Reader(NamedTuple):
         radii = np.repeat(inputs.radii[:1], 2) if inputs.is_by_sides else radii
         ratios = OF_SPEEDS | OF_POSES if inputs.are_speeds else rate_ratios(radii.tolist())
         place = inputs.places - inputs.places.mean()
-        speeds = radii[:, None] * np.array([log.values[name] for name in inputs.names])
+        speeds = radii[:, None] * np.array([log.every[name] for name in inputs.names])
         sides = [speeds[own].mean(axis=0) for own in (place < 0, place > 0) if own.any()]
         is_named = any(split_unit(inputs.columns[name])[1] for name in inputs.names)
         is_guessed = spec.vehicle is None and not inputs.are_speeds
@@ -570,6 +570,7 @@ class _Reader(NamedTuple):
         self._check(log, frame)
         once = np.append(True, (np.diff(t) != 0) | (np.diff(table.get("window", t)) != 0))
         t, table = t[once], {name: each[once] for name, each in table.items()}
+        of_file, file_t = log.rows[once], log.every["t"]
         z, window = table["x"] + 1j * table["y"], table.get("window", np.zeros(t.size))
         wait, is_other = np.diff(t), np.diff(window) != 0
         follows = is_continuous(t, z, window)
@@ -579,34 +580,44 @@ class _Reader(NamedTuple):
         even = [np.arange(t[own[0]], t[own[-1]] + 1e-6 * step, step) for own in parts]
         at_even = np.concatenate(even)
         runs = np.repeat(np.arange(len(even)), [own.size for own in even])
-        # for each sample the nearest row of its run, and the last one before it
-        nearest, earlier = list[Indices](), list[Indices]()
-        for own, ours in zip(parts, even, strict=True):
+        nearest = list[Indices]()  # row of the run for each sample
+        file_run, has_input = np.full(file_t.size, -1), log.has_input.copy()
+        has_input[:-1] &= np.diff(file_t) != 0
+        for k, (own, ours) in enumerate(zip(parts, even, strict=True)):
             index = np.interp(ours, t[own], np.arange(own.size))
             nearest.append(own[np.ceil(index - 0.5).astype(int)])
-            earlier.append(own[np.floor(index + 1e-7).astype(int)])
-        rows, held = np.concatenate(nearest), np.concatenate(earlier)
+            first, last = of_file[own[[0, -1]]]
+            file_run[first : last + 1] = k
+            has_input[[first, last]] = True
+        rows = np.concatenate(nearest)
         pieces = np.append(0, np.cumsum(~follows | ends))
         place, is_fresh, is_held = _places(t, z + complex(*spec.shift), pieces, at_even, rows)
         between = partial(by_runs, at_even, runs, t, run)
-        notes, signals = list(log.notes), list[Array]()
-        for name in self.inputs.names:
-            if data.inputs == "commands":
-                is_late = at_even - t[held] > (data.timeout or inf)
-                signals.append(np.where(is_late, 0.0, table[name][held]))
-                continue
-            longest = MAX_HOLD / float(np.median(wait))
-            values, period = without_holds(table[name], run, longest)
-            words = f"readings new every {period * float(np.median(wait)):.3g} s, linear between"
-            notes += [words] if period > 1 and words not in notes else []
-            signals.append(between(values))
+        notes = list(log.notes)
+
+        def signal(name: str) -> Array:
+            """Return a column at the samples, from all rows: means if many belong to a sample."""
+            is_input = name in self.inputs.columns
+            own = (file_run >= 0) & (has_input if is_input else np.isfinite(log.every[name]))
+            values, of_run, own_t = log.every[name][own], file_run[own], file_t[own]
+            usual, hold = float(np.median(np.diff(own_t))) if own.sum() > 1 else step, None
+            if is_input and data.inputs == "commands":
+                hold = data.timeout or inf
+            elif name in self.inputs.names:
+                values, period = without_holds(values, of_run, MAX_HOLD / usual)
+                words = f"readings new every {period * usual:.3g} s, linear between"
+                notes.extend([words] if period > 1 and words not in notes else [])
+            width = step if 1.5 * usual < step else 0.0
+            return by_runs(at_even, runs, own_t, of_run, values, width, hold)
+
+        signals = [signal(name) for name in self.inputs.names]
         notes += ["poses are held"] if is_held else []
         heading, rate, velocity = None, None, None
         if "heading" in table:
             turned = np.unwrap(table["heading"]) + (np.pi / 2 if frame == "paper" else 0.0)
             heading = turned[rows] if is_held else between(turned)
         if "yaw_rate" in table:
-            rate, place_of = between(table["yaw_rate"]), self.inputs.places
+            rate, place_of = signal("yaw_rate"), self.inputs.places
             turn = (place_of - place_of.mean()) @ np.array(signals)  # has its sign
             if float(turn @ rate) < CLOCKWISE * float(np.linalg.norm(turn) * np.linalg.norm(rate)):
                 rate = -rate
@@ -628,10 +639,10 @@ class _Reader(NamedTuple):
             name: int(place > 0) if self.inputs.is_by_sides else names.index(f"{name}_rate")
             for name, place in driven.items()
         }
-        joints = {name: table[name][rows] for name in self.inputs.joints}
-        signal = [signal_of.get(wheel.name, -1) for wheel in vehicle.wheels]
+        joints = {name: signal(name) for name in self.inputs.joints}
+        wheels = [signal_of.get(wheel.name, -1) for wheel in vehicle.wheels]
         drive = DriveLog(
-            *(path.stem, campaign, surface, step, chassis_of(vehicle, signal, joints)),
+            *(path.stem, campaign, surface, step, chassis_of(vehicle, wheels, joints)),
             np.column_stack(signals),
             runs,
             pieces[rows],
