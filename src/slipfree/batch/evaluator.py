@@ -81,8 +81,7 @@ class EvaluatorOf(Generic[G]):
         if not states.shape[1]:
             return np.empty((graph.function.numel_out(0), 0))
         results = np.zeros((graph.function.size1_in(1), states.shape[1]))
-        is_many = states.shape[1] > WIDTH / 4
-        run = evaluate_lanes if is_many else lambda *given: evaluate(*given)[0]
+        run = evaluate_lanes if states.shape[1] > WIDTH / 4 else lambda *given: evaluate(*given)[0]
         row = 0
         for lookup, argument in zip(graph.lookups, graph.arguments, strict=True):
             (values,) = evaluate(lookup.function, run(argument, states, results))

@@ -10,13 +10,13 @@ its Taylor polynomial about the current position.
 from __future__ import annotations
 
 import ctypes
-import secrets
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache, lru_cache
 from importlib.machinery import EXTENSION_SUFFIXES
 from math import inf
 from pathlib import Path
+from secrets import randbits
 from typing import Any, NamedTuple, cast
 
 import casadi as ca
@@ -295,8 +295,7 @@ def in_lanes(function: ca.Function, rows: tuple[int, ...]) -> ca.Function | None
     shapes = [[n, function.nnz_in(k), 1] for k, n in enumerate(rows)]
     found = range(function.n_out())
     shapes += [[1, 1, 1], *([max(rows), function.nnz_out(k), 1] for k in found)]
-    key = secrets.randbits(KEY_BITS)
-    sizes = len(code), max(rows), len(rows) + 1, function.n_out(), function.sz_w(), key
+    sizes = len(code), max(rows), len(rows) + 1, len(found), function.sz_w(), randbits(KEY_BITS)
     arrays = np.array(code, np.int32), np.array(constants), np.array(shapes), np.array(sizes)
     given = [ca.MX.sym("a", *shape[:2]) for shape in shapes[: len(rows)]]
     with _LANES_LOCK:
@@ -305,7 +304,7 @@ def in_lanes(function: ca.Function, rows: tuple[int, ...]) -> ca.Function | None
                 _LANES[slot] = arrays
                 compiled.kernel_open_lanes(slot, *map(pointer, arrays))
                 run = ca.external(f"lanes{slot}", compiled._name)
-                return ca.Function("lanes", given, run.call([*given, ca.MX(key)]))
+                return ca.Function("lanes", given, run.call([*given, ca.MX(sizes[-1])]))
     return None
 
 

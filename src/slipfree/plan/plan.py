@@ -64,6 +64,7 @@ from slipfree.system.interrupt import with_interrupt_guard
 
 MIN_INTERVALS = 40  # least default number of intervals
 INTERVAL_SIZES = 2.0  # largest length of a default interval, in sizes of the vehicle
+FAILED_TOLERANCE = 1e-4  # as `options.tolerance`, for the iterate of a failed search
 SEARCH_SHARE = 0.8  # of the time limit; the rest is for the verification or the explanation
 
 
@@ -372,7 +373,9 @@ def solve_task(
         if state.found.success and not verified:
             return Verification(sample_plan(state.program, state.found.unknowns), {}, {}, {})
         how = {"accuracy": mesh.accuracy, "step": mesh.step, "deadline": begun + search.seconds}
-        return verify_plan(state.program, state.found.unknowns, start, **how)
+        tolerance = options.tolerance if state.found.success else FAILED_TOLERANCE
+        program = replace(state.program, options=replace(options, tolerance=tolerance))
+        return verify_plan(program, state.found.unknowns, start, **how)
 
     if not (searches[0].found.success or searches[0].found.status == STOPPED_STATUS):
         searches[0] = solve_relaxed(searches[0], begun + search.seconds, search.progress)

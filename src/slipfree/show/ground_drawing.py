@@ -248,10 +248,9 @@ def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
         first = max(min(int(np.searchsorted(axis, low)) - 3, last - 4), 0)
         kept.append(np.arange(first, last, -(-(last - first) // count)))  # at most count nodes
         fine.append(np.linspace(low, high, count))
-        nodes, size = axis[kept[-1]], kept[-1].size
-        at = np.clip((fine[-1] - nodes[0]) / (nodes[1] - nodes[0]), 0, size - 1)
-        cell = np.minimum(at.astype(int), size - 2)
-        weights.append(np.zeros((size + 2, count)))
+        at = np.interp(fine[-1], axis[kept[-1]], np.arange(kept[-1].size))  # in cells
+        cell = np.minimum(at.astype(int), kept[-1].size - 2)
+        weights.append(np.zeros((kept[-1].size + 2, count)))
         weights[-1][cell + np.arange(4)[:, None], np.arange(count)] = basis(at - cell)[0]
     table = coefficients_of(grid.z[np.ix_(*kept)], through=True)
     z = np.round(weights[0].T @ table @ weights[1], DIGITS)
