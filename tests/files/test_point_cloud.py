@@ -336,12 +336,12 @@ def test_a_surface_whose_y_is_upward_is_refused(tmp_path, height):
 
 def test_coordinates_beyond_their_digits_are_refused(tmp_path):
     """A float32 has steps of 0.5 m at 5e6 m; whole numbers are exact."""
-    far, path, coarse = np.array([5e5, 5e6, 0]), tmp_path / "a.ply", "to 0.5 .* four bytes; write x"
+    far, path, coarse = np.array([5e5, 5e6, 0]), tmp_path / "a.ply", "single precision, a multiple"
     for points, real, words in (
         (PLANE * 1e30, "double", "found coordinates that exceed"),
         (PLANE + far, "double", ""),
         (np.round(PLANE) + far, "float", ""),
-        (PLANE + far, "float", rf"found 50000\d+(\.5)?, rounded {coarse} and y as 'double'"),
+        (PLANE + far, "float", rf"found 50000\d+(\.5)? in {coarse} of 0.5; write x and y in"),
     ):
         path.write_bytes(ply(points, "binary_little_endian", real=real))
         if words:

@@ -137,7 +137,7 @@ ROLES_REFUSED = [
     ("tube = 1.0", "expected a tube of at most the radius, 0.15 m,"),
     (f'joints.caster = {{ kind = "commanded", stiffness = 3 }}\n{FREE}', "cannot have a spring"),
     ('joints = { caster = "passive", bracket = "suspension" }', 'in { kind = "suspension", axis ='),
-    ("wheels = { caster = { radius = 0.1 } }", "joints below it, found 'caster_axle'; remove it"),
+    ("wheels = { caster = { radius = 0.1 } }", "joints below it, found 'caster_axle'; make it"),
     ("wheels = { caster = { radius = 0.1 } }", "'caster_axle': expected the parent of a wheel to"),
     ('joints.caster = "passive"\nwheels.caster = {}', "a joint that is not a wheel, found"),
 ]

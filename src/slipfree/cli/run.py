@@ -132,9 +132,6 @@ def run(
             console.show([(f"  {row['name']}", line.format(**row)) for row in rows[:8]])
     if folder is not None and not is_interrupted:
         with _after(files[0], "figures"):
-            import matplotlib.artist
-
-            vars(matplotlib.artist)["kwdoc"] = str  # texts for docstrings take a quarter of imports
             from slipfree.show.plots import MAIN_COUNT
 
             plots = verb.figures(result)
