@@ -1,7 +1,5 @@
 """Tests of fits: logs as others write them, read as meant or refused, and the command."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -300,7 +298,8 @@ def test_constants_take_the_place_of_unknowns() -> None:
 
 
 def test_a_drive_to_one_side_has_no_sense_of_turning() -> None:
-    """A straight drive along its heading is accepted, also in other units than in others."""
+    """A straight drive along its heading is accepted, and a drive without headings."""
+    assert read(changed({}, "t,left,right,x,y,other"))[0].heading is None
     rows = DRIVE.copy()
     rows[:, 1] = rows[:, 2] = 2.0
     rows[:, 3:] = np.column_stack([2 * RADIUS * rows[:, 0], 0 * rows[:, 0], 0 * rows[:, 0]])

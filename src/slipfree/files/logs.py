@@ -475,7 +475,7 @@ def _check_sides(
             f"{log.path}: expected inputs of both sides, found turns, but inputs that are equal on "
             "both sides or zero on one; name the column of each side"
         )
-    factors = np.linalg.lstsq(np.transpose([left, right]), ahead[at])[0]
+    factors = np.linalg.lstsq(np.transpose([left, right]), ahead)[0]
     scaled = misfit(factors[0] * left, factors[1] * right)
     if plain.max() > CLEARER > SMALL_SHARE > scaled.max() and factors.min() > 0:
         side, other = np.array(["left", "right"])[np.argsort(factors)]
