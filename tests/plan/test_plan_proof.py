@@ -227,7 +227,7 @@ def test_a_search_that_gets_stuck_starts_again(model, coarse, monkeypatch, at, s
 @pytest.mark.slow
 def test_a_plan_starts_from_itself_and_from_others(model, coarse):
     again = asked(model, search=sf.Search(resume=coarse.saved))
-    assert (again.success, again.stages[0].words) == (True, "resumed")
+    assert (again.success, again.stages[0].words) == (True, "from the previous plan")
     assert again.stages[0].iterations <= 3
     assert_allclose(again.run["x"], coarse.run["x"], atol=1e-8)
     moved = asked(model, goal=(0.105, 1.365), search=sf.Search(resume=coarse.saved))
@@ -250,7 +250,7 @@ def test_limits_on_which_a_plan_rests_are_there_when_it_is_resumed(monkeypatch):
     assert (found.success, found.stages[1].words[:13]) == (True, "with tip_over")
     assert found.run["tip_over"].min() > 0
     again = asked(high, first, **options, search=sf.Search(resume=found.saved))
-    assert [stage.words for stage in again.stages] == ["resumed"]
+    assert [stage.words for stage in again.stages] == ["from the previous plan"]
     assert again.stages[0].iterations <= found.stages[1].iterations
     get_stuck(monkeypatch, 1)
     anew = asked(high, first, **options)

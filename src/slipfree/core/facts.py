@@ -216,7 +216,8 @@ def in_short(facts: Lines) -> Lines:
     notes = [text.partition("; otherwise") for name, text in facts if name == NOTE]
     shown = [t for t, other, _ in notes if other or t.startswith(("guess", "clearance w", "drive"))]
     file = "lines for a vehicle file, which --write NAME.toml makes"
-    shown += [f"tree of parts, and all notes in full, with {file}: slipfree vehicle FILE -v"]
+    count = f"all {len(notes)} notes in full, and the tree of parts"
+    shown += [f"{count}, with {file}: slipfree vehicle FILE -v"]
     others = [each for each in facts if each[0] != NOTE]
     return others + [(NOTE, text) for text in shown * bool(notes)]
 
@@ -226,7 +227,8 @@ def guesses(attributes: Mapping[str, str]) -> Lines:
     notes = attributes.get(NOTE.replace(" ", "_"), "").split("\n")
     choices = [note.partition("; otherwise")[0] for note in notes if "; otherwise" in note]
     made = [choice.removeprefix("guessed ").rpartition(": ")[0] for choice in choices]
-    text = f"guessed {'; '.join(made[:MAX_LISTED])}; all with their reasons: slipfree check"
+    where = f"slipfree vehicle {attributes.get('problem_file', 'FILE')} -v"
+    text = f"guessed: {'; '.join(made[:MAX_LISTED])}; all {len(notes)} notes: {where}"
     return [(NOTE, text)] * bool(made)
 
 

@@ -380,7 +380,7 @@ def solve_resumed(
         warm = warm._replace(
             row_multipliers=resume.row_multipliers, bound_multipliers=resume.bound_multipliers
         )
-    return _solve_stage(program, first, "resumed", 1.0, progress, warm)
+    return _solve_stage(program, first, "from the previous plan", 1.0, progress, warm)
 
 
 def _solve_stage(

@@ -129,7 +129,8 @@ def stand(
     poses = Atlas(x, y, heading, bands, setup.poses().reasons)
     _, found = setup.site.summary_of(poses, slice(0, x.size), slice(0, y.size))
     allowed = found.codes == 0
-    words = f"at {100 * float(allowed.mean()):.3g} % of {allowed.size} poses"
+    places = allowed.any(axis=0)
+    words = f"at {places.sum()} of {places.size} places that were tried, {len(allowed)} headings each"
     if not allowed.all():
         often = np.bincount(found.codes[~allowed]).argmax()
         words += f"; elsewhere mostly: {found.reasons[often]}"

@@ -91,7 +91,7 @@ def shaded(colors: Array, drawn: AtlasView) -> Array:
     if min(z.shape) < 2:  # without slopes
         return colors
     light = brightness(drawn.x, drawn.y, z)[..., None] / LEVEL
-    light = 1.0 + SHADE * (light - 1.0)
+    light = np.nan_to_num(1.0 + SHADE * (light - 1.0), nan=1.0)  # no shadows in holes
     darker, lighter = np.minimum(light, 1.0), np.maximum(light - 1.0, 0.0)
     return np.asarray(darker * colors + lighter * (1.0 - colors))
 

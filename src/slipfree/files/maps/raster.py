@@ -297,8 +297,9 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
     crs = place.crs or ("CRS not given" if place.placed else "placed by cell and registration")
     source = f"{TABLE['names'].get(file.driver, file.driver)} of {file.dtypes[0]}"
     scale, offset, unit = file.scales[0], file.offsets[0], _unit_name(file)
-    words = "in metres" if unit else "unit not stated: taken as metres"
-    words += FEET * (not unit and ask.vertical_scale is None)
+    factor = f", times terrain.vertical_scale = {ask.vertical_scale or 1:g}"
+    factor = FEET if ask.vertical_scale is None else factor
+    words = "in metres" if unit else f"unit not stated: taken as metres{factor}"
     if _unit(file) != 1:
         words = f"converted from {unit} ({_unit(file):.9g} m)"
     if (scale, offset) != (1, 0):

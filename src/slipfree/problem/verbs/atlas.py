@@ -153,9 +153,12 @@ class AtlasSetup(World):
 
     @property
     def elevation(self) -> Array | Elevation:
-        """Heights of the nodes, shape (n_x, n_y) [m]."""
+        """Heights of the nodes, shape (n_x, n_y), NaN in holes [m]."""
         grid, every = self.ground.grid, self.problem.spec.atlas.every
-        return Elevation(grid, every) if isinstance(grid, Outline) else grid.z[::every, ::every]
+        if isinstance(grid, Outline):
+            return Elevation(grid, every)
+        z = grid.z if grid.holes is None else np.where(grid.holes, np.nan, grid.z)
+        return z[::every, ::every]
 
     @property
     def site(self) -> Site:

@@ -248,6 +248,7 @@ FIRST_LINES = """\
 filled ground: {filled_samples} of {samples} samples have a wheel on interpolated heights; along \
 the contact points: <filled_paths> {wheel} {length:.4g} of {path_length:.4g} m"""
 SLIDES = 0.999  # utilisation above which a wheel slides, in models with friction
+SLIDING, MIN_SLIP = 0.05, 1e-3  # slip above which a wheel slides: share of its speed, and [m/s]
 FASTER = "faster_wheels"  # fact of motions whose wheels exceed limits of their URDF
 LAST_LINES = """\
 *faster than the URDF allows: <faster_wheels> {wheel} {rate:.3g} of {limit:.3g} rad/s
@@ -478,7 +479,13 @@ def drive_facts(run: Trajectory) -> dict[str, Fact]:
         facts["friction"] = Fact(_friction(run, facts))
     if has_pressed_wheels(run):
         facts |= _pressed_facts(run)
-    model, law = run.attributes.get("model"), run.attributes.get("law", "least")
+    model = run.attributes.get("model", "kinematics")
+    law = run.attributes.get("law", "least")
+    if model == "kinematics" and duration > 0:
+        speeds = (np.gradient(run[name], run.t, axis=0) for name in ("contact_x", "contact_y"))
+        if np.any(slip > SLIDING * np.hypot(*speeds) + MIN_SLIP):
+            words = "without the friction of sliding wheels, which model = 'dynamics' has"
+            facts["left_out"] = Fact(words)
     meaning = f"by the slip law {law!r}, not a prediction"
     if law == "least":
         meaning = "the least that kinematics allows: a lower bound, not a prediction"

@@ -64,6 +64,8 @@ if TYPE_CHECKING:
 DIFFERENCE, VIOLATION, PLAN_COST = "plan_difference_", "plan_violation_", "plan_cost_"
 ROUNDING = 1e-6  # smaller violations count as rounding, in the unit of the limit
 SLIDING = 0.95  # wheels with a larger utilisation count as sliding
+DETOUR = 1.5  # paths that are longer than this number of distances are detours
+MOVING = 0.02  # smaller steps of a path, in its largest step, have no direction
 UNUSABLE = Outcome.INACCURATE, Outcome.LIMIT  # outcomes of solved plans that cannot be driven
 ROWS = named_rows("plan")
 
@@ -167,9 +169,25 @@ def described(run: Trajectory) -> dict[str, Fact]:
         texts |= {"limited_by": prices_words(own)} if own else {}
     return {
         **{name: Fact(text) for name, text in texts.items()},
+        **_path_facts(run),
         "plan_violation": Fact(violation),
         "within_limits": Fact(float(is_kept), "1"),
     }
+
+
+def _path_facts(run: Trajectory) -> dict[str, Fact]:
+    """Return a sentence about a path that reverses, or is much longer than its distance."""
+    x, y, yaw = (run[name] for name in ("x", "y", "yaw"))
+    ahead = np.diff(x) * np.cos(yaw[1:]) + np.diff(y) * np.sin(yaw[1:])
+    signs = np.sign(ahead[np.abs(ahead) > MOVING * np.abs(ahead).max()])
+    reversals = np.count_nonzero(np.diff(signs))
+    length, distance = trajectory.path_length(run), float(np.hypot(x[-1] - x[0], y[-1] - y[0]))
+    words = [f"reverses {reversals} times" if reversals > 1 else "reverses once"][: int(reversals)]
+    if length > DETOUR * distance:
+        words.append(f"{length:.3g} m long for {distance:.3g} m from start to end")
+        if f"{PLAN_COST}slip" in run.facts:
+            words.append("a smaller weight costs.slip may shorten it")
+    return {"plan_path": Fact("; ".join(words))} if words else {}
 
 
 def _simulated_words(facts: Facts, *, is_solved: bool) -> str:
@@ -512,7 +530,7 @@ class PlanVerb(base.DriveVerb):
             "optimality": lambda run: run.with_facts(optimality_facts(plan)),
             "by_friction": lambda run: run.with_facts(_by_friction(setup, plan)),
             "by_stiffness": lambda run: run.with_facts(_by_stiffness(setup, plan)),
-            "in_soil": lambda run: run.with_facts(_in_soil(setup, plan)),
+            "with_inertia": lambda run: run.with_facts(_in_soil(setup, plan)),
             "momentum": lambda run: run.with_facts(_momentum(setup, plan)),
         }
         return base.with_diagnostics(run, diagnostics, watch, arrays), arrays
