@@ -444,6 +444,9 @@ def test_path_from_a_file(folder):
     (folder / "way.csv").write_text("x,y\n0.0,0.0\n0.0,1.0\n")
     told = invoke("run", "p.toml", "--no-draw", *law, *sets("time.duration=6.0"), code=0).stdout
     assert "end of the path at t = 5 s, passed by 0.2 m" in told
+    (folder / "way.csv").write_text("x,y\n0.0,0.0\n0.0,99.0\n")
+    told = invoke("check", "p.toml", *law, code=2).stderr
+    assert "expected way-points on the map, which extends from x = -3, y = -3 to x = 3, " in told
     (folder / "way.csv").write_text("x,y\n0.0,0.0\n0.0;1.0\n")
     result = invoke("check", "p.toml", *law, code=2)
     assert "way.csv:3: expected two numbers x,y, found '0.0;1.0'" in result.stderr

@@ -59,11 +59,8 @@ def test_run_tells_what_the_motion_takes():
     written["utilisation"][k, i] = 3.5  # of a wheel that bears almost nothing
     words = runner.drive_facts(written)["friction"].value
     assert re.fullmatch(r"utilisation at most 3.5 .* 0\.\d+ .*: friction can be sufficient", words)
-    assert_allclose(
-        written["power"],
-        np.sum(written["drive_torque"] * written["wheel_rate"], axis=1),
-        atol=1e-12,
-    )
+    power = np.sum(written["drive_torque"] * written["wheel_rate"], axis=1)
+    assert_allclose(written["power"], power, atol=1e-12)
     assert written.attributes["ground_friction"] == "0.6"
 
 

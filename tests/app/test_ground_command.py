@@ -65,7 +65,7 @@ def test_a_vehicle_stands_at_the_start():
     for name in ("roll", "pitch"):
         assert start[name] == pytest.approx(pose[name][0], abs=1e-6)
     assert "rep103" in found["facts"]["start"]
-    assert "% of 784 poses" in found["facts"]["three_wheeler stands"]
+    assert "153 of 196 places that were tried, 4" in found["facts"]["three_wheeler stands"]
     z[24:26, 20] = np.nan
     start = described(z, "three_wheeler", "--no-draw")["start"]
     assert max(abs(start["x"]), abs(start["y"])) < 8  # further out, there is no room

@@ -317,7 +317,16 @@ def build_law(problem: Problem[S], driver: schema.DriverTable, dae: Dae, start: 
     with at(problem, ("driver",)):
         if driver.name == "straight":
             return straight(dae, start, speed=driver.speed)
-        return follow(dae, Path(path_points(problem, driver)), speed=driver.speed)
+        points, (west, east, south, north) = path_points(problem, driver), dae.ground.domain
+        beyond = ((points < [west, south]) | (points > [east, north])).any(axis=1)
+        if beyond.any():
+            x, y = points[beyond.argmax()]
+            raise DataError(
+                f"expected way-points on the map, which extends from x = {west:.10g}, y = "
+                f"{south:.10g} to x = {east:.10g}, y = {north:.10g} m, found one at x = {x:.10g}, "
+                f"y = {y:.10g}; move it"
+            )
+        return follow(dae, Path(points), speed=driver.speed)
 
 
 def build_climbing(problem: Problem[Any], world: World, model: Dae) -> tuple[Dae, Any]:

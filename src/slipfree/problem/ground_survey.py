@@ -130,7 +130,9 @@ def stand(
     _, found = setup.site.summary_of(poses, slice(0, x.size), slice(0, y.size))
     allowed = found.codes == 0
     places = allowed.any(axis=0)
-    words = f"at {places.sum()} of {places.size} places that were tried, {len(allowed)} headings each"
+    words = (
+        f"at {places.sum()} of {places.size} places that were tried, {len(allowed)} headings each"
+    )
     if not allowed.all():
         often = np.bincount(found.codes[~allowed]).argmax()
         words += f"; elsewhere mostly: {found.reasons[often]}"
