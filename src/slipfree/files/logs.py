@@ -7,14 +7,14 @@ the travel of wheels must be near that of the positions. What is left out is cou
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slipfree.core.arguments import FULL_TURN
-from slipfree.core.errors import DataError
+from slipfree.core.errors import DataError, read_table
 from slipfree.core.records import Array, ComplexArray, Indices, Mask
 from slipfree.files.maps.reference_systems import metric_system
 from slipfree.files.mcap import is_mcap, read_motion_log
@@ -30,6 +30,7 @@ from slipfree.files.tables import (
     split_unit,
 )
 
+TEXTS: dict[str, str] = read_table(__file__, "logs.toml")  # of errors, and remedies
 POSE = ("x", "y", "heading", "vx", "vy", "window")  # columns that rows of a log must have
 GAP = 1.5  # longest time between rows whose positions count as continuous [s], or 1.5 medians
 MAX_INTERVAL, JUMP = 10.0, 3600.0  # largest median time, and largest time, between rows [s]
@@ -139,10 +140,7 @@ def read_log(
         if not t.size:
             break
         if not rows.size:
-            raise DataError(
-                f"{path}: expected numbers in the column {names[name]!r}, found none; name another "
-                f"column in {where}"
-            )
+            raise _error("no_numbers", path, column=names[name], where=where)
         # the last row that gives this input; an input is zero after the timeout, as in robots
         last = rows[np.maximum(np.searchsorted(rows, np.arange(t.size), side="right") - 1, 0)]
         age = t - t[last]
@@ -178,10 +176,7 @@ def read_log(
         good &= ~is_away
     if not good.any() and t.size:
         found = ", ".join(f"{count} with {reason}" for reason, count in (+left_out).items())
-        raise DataError(
-            f"{path}: expected rows with positions and inputs, found {found}; correct them (a "
-            "heading may be a quaternion of length one)"
-        )
+        raise _error("no_rows", path, found=found)
     return MotionLog(
         path,
         t[good],
@@ -212,11 +207,7 @@ def _check_times(path: Path, table: Columns, is_apart: Mask, *, is_fit: bool) ->
     steps = np.where(is_apart, 0.0, np.diff(t))
     interval = float(np.median(np.diff(t)[~is_apart])) if not is_apart.all() else 0.0
     if is_fit and interval > MAX_INTERVAL:
-        raise DataError(
-            f"{path}: expected samples of a log at most {MAX_INTERVAL:g} s apart, found "
-            f"{interval:g} s (median); if the times are in other units, name them in "
-            "[data.columns], as in t = 't [ms]'"
-        )
+        raise _error("rare", path, most=MAX_INTERVAL, interval=interval)
     is_jump = (steps < 0) | (steps > max(JUMP, 100 * interval))
     if is_jump.any():
         k = int(is_jump.argmax())
@@ -226,10 +217,8 @@ def _check_times(path: Path, table: Columns, is_apart: Mask, *, is_fit: bool) ->
             found = "so do many others; sort the rows by time"
         elif steps[k] < 0 and (t[k + 2 : k + 3] > t[k]).any():
             found = "one row is late; sort the rows by time"
-        raise DataError(
-            f"{path}: expected increasing times, found {_time(table, k + 1)} after "
-            f"{_time(table, k)} in line {line_of(path, k + 1)}: {found}"
-        )
+        times = {"time": _time(table, k + 1), "before": _time(table, k)}
+        raise _error("times", path, **times, line=line_of(path, k + 1), found=found)
 
 
 def _time(table: Columns, row: int) -> str:
@@ -250,11 +239,7 @@ def _check_repeated(path: Path, t: Array, values: Mapping[str, Array], good: Mas
             f"x = {values['x'][row]:.6g}, y = {values['y'][row]:.6g} m in line {line_of(path, row)}"
             for row in rows[k : k + 2].tolist()
         )
-        raise DataError(
-            f"{path}: expected one pose at a time, found {' and '.join(places)} at "
-            f"t = {t[rows[k]]:.6g} s; if two drives were sorted into one file, use a file for "
-            "each; if the times are rounded, write them with more digits"
-        )
+        raise _error("repeated", path, places=" and ".join(places), t=t[rows[k]])
 
 
 def _excursions(path: Path, table: Columns, good: Mask) -> Mask:
@@ -267,12 +252,8 @@ def _excursions(path: Path, table: Columns, good: Mask) -> Mask:
     is_away = (least > FAR) & (over < RETURN * least) & (window[2:] == window[:-2])
     if is_away.sum() > MIXED * is_away.size:
         k = rows[int(is_away.argmax())]
-        raise DataError(
-            f"{path}: expected positions of one drive, found {int(is_away.sum())} rows that "
-            f"jump away from their neighbours and back, the first by {least[is_away][0]:.3g} m at "
-            f"t = {_time(table, k + 1)} in line {line_of(path, int(k) + 1)}: two drives were "
-            "probably sorted by time into one file; use a file for each"
-        )
+        first = {"time": _time(table, k + 1), "line": line_of(path, int(k) + 1)}
+        raise _error("mixed", path, count=is_away.sum(), least=least[is_away][0], **first)
     return np.isin(np.arange(good.size), rows[1:-1][is_away])
 
 
@@ -324,10 +305,7 @@ def check_motion(
     """
     t, place = log.t, log.values["x"] + 1j * log.values["y"]
     if t.size > LEAST_CHORDS and (place == place[0]).all():
-        raise DataError(
-            f"{log.path}: expected positions that change, found x = {place[0].real:g} m and y = "
-            f"{place[0].imag:g} m in all rows; name other columns, or omit the log"
-        )
+        raise _error("still", log.path, place=place[0])
     part = np.append(0, np.cumsum(~is_continuous(t, place, log.values.get("window", 0 * t))))
     fresh = np.append(True, np.diff(place) != 0)  # poses may be held until the next one is measured
     log = log._replace(values={name: column[fresh] for name, column in log.values.items()})
@@ -364,11 +342,7 @@ def check_motion(
     curved = np.angle((chords[at] / chords[later]) ** sign) / sign  # turns of the course
     if "heading" not in values:
         if turns is not None and _correlation(curved, turns[later]) < -OPPOSITE:
-            raise DataError(
-                f"{log.path}: expected turns to the left where the right side is faster, found a "
-                "course that turns the other way; exchange the columns of the left and the right "
-                "side if they are swapped, or those of x and y if they are north and east"
-            )
+            raise _error("opposite_turns", log.path)
         return
     near = (0, step // 2, (step + 1) // 2, step)  # two rows in the middle if the step is odd
     first, *middle, last = (values["heading"][rows + k] for k in near)
@@ -405,24 +379,15 @@ def check_motion(
             remedy += ", or exchange the columns of x and y if they are north and east"
     elif by_wheels < -OPPOSITE:
         expected, found = "that turn to the left where right wheels are faster", "the opposite"
-        remedy = (
-            "exchange the rates of the sides if they are swapped, change their sign if they are "
-            "positive backward, or change the signs of y and of the heading if the axes are north, "
-            "east and down"
-        )
+        remedy = TEXTS["opposite_wheels"]
     elif not may_turn and abs(alike[1.0]) > ALIKE and abs(offset) > OFFSET:
         expected, found = "along the course", f"a constant difference of {offset:.0f} deg"
-        remedy = (
-            "give --set frame=rep103 if headings count from x, --set frame=paper if from y; else "
-            f"add {offset:.0f} deg to them, or give an unknown 'sensor_heading'"
-        )
+        remedy = TEXTS["offset"].format(offset=offset)
     else:
         return
     k = int((size * np.abs(np.exp(1j * sign * (course - heading[0])) - 1)).argmax())
-    raise DataError(
-        f"{log.path}: expected headings {expected}, found {found} (heading {heading[0, k]:.4g} rad "
-        f"at the course {course[k]:.4g} rad); {remedy}"
-    )
+    words = {"expected": expected, "found": found, "remedy": remedy}
+    raise _error("headings", log.path, **words, heading=heading[0, k], course=course[k])
 
 
 def _correlation(one: Array, other: Array) -> float:
@@ -465,27 +430,18 @@ def _check_sides(
         pairs = (ahead, left - right), (bent, -left - right)
         likeness = max((_correlation(*pair) for pair in pairs), key=abs)
         side = "one" if abs(likeness) < CLEARER else "right" if likeness > 0 else "left"
-        raise DataError(
-            f"{log.path}: expected inputs of both sides that are positive ahead, found distances "
-            f"and turns that agree with the opposite sign of the {side} side; change its sign"
-        )
+        raise _error("sign", log.path, side=side)
     is_one = not left.any() or not right.any() or np.array_equal(left, right)
     if is_one and plain[1] > CLEARER and energy[1] > TURNING**2 * bent.size:
-        raise DataError(
-            f"{log.path}: expected inputs of both sides, found turns, but inputs that are equal on "
-            "both sides or zero on one; name the column of each side"
-        )
+        raise _error("one_side", log.path)
     factors = np.linalg.lstsq(np.transpose([left, right]), ahead)[0]
     scaled = misfit(factors[0] * left, factors[1] * right)
     if plain.max() > CLEARER > SMALL_SHARE > scaled.max() and factors.min() > 0:
         side, other = np.array(["left", "right"])[np.argsort(factors)]
         ratio = float(factors.max() / factors.min())
         units = [w for w, each in (OF_RATES | OF_SPEEDS).items() if abs(each * ratio - 1) < CLOSE]
-        raise DataError(
-            f"{log.path}: expected inputs of both sides in one unit, found that those on the "
-            f"{side} are {ratio:.3g} times those on the {other} for the same motion, probably "
-            f"{', or '.join(units) or 'in another unit'}; convert them to one unit"
-        )
+        unit = ", or ".join(units) or "in another unit"
+        raise _error("units_of_sides", log.path, side=side, other=other, ratio=ratio, unit=unit)
     shares = {  # distances may have the clock of the inputs, turns that of the headings
         late: np.minimum(plain, misfit(*(each[at] for each in changes(late - middle))))
         for late in SHIFTS[abs(SHIFTS) <= np.ptp(log.t) / 5 * (plain.sum() > CLEARER)].tolist()
@@ -493,11 +449,7 @@ def _check_sides(
     late, best = min(shares.items(), key=lambda each: float(each[1].sum()))
     if abs(late) > MAX_DELAY and plain.sum() - best.sum() > CLEARER > best.max():
         when = f"{abs(late):.3g} s {'after' if late > 0 else 'before'} those of the inputs"
-        raise DataError(
-            f"{log.path}: expected poses and inputs of one clock, found turns of the poses {when}: "
-            f"this shift explains {1 - best[1]:.0%} of the turns, no shift {1 - plain[1]:.0%}; "
-            "shift the times of the poses or of the inputs"
-        )
+        raise _error("clocks", log.path, when=when, share=1 - best[1], plain=1 - plain[1])
 
 
 def _check_travel(
@@ -510,22 +462,13 @@ def _check_travel(
     """
     likeness, ratio = _correlation(moved, travel), float(moved.sum() / max(travel.sum(), 1e-300))
     if _correlation(moved, change) > max(COUNTS, likeness):
-        raise DataError(
-            f"{log.path}: expected rates of wheels, found values that change with the path, "
-            "probably angles or counts of an encoder; write their change over the time between "
-            "rows, times 2 pi over the counts of a turn"
-        )
+        raise _error("counts", log.path)
     units = ", or ".join(w for w, each in ratios.items() if abs(ratio / each - 1) < NEAR)
     if likeness > ALIKE and ratio < DEGREE:
         raise _degrees(log.path, log.values, ["x", "y"])
     units = units or "another unit" * (len(ratios) > 0 and not 1 / MAX_RATIO < ratio < MAX_RATIO)
     if likeness > ALIKE and units:
-        raise DataError(
-            f"{log.path}: expected times in s, positions in m and rates in SI units, found a "
-            f"vehicle that moved {ratio:.3g} times as far as its wheels rolled, probably since the "
-            f"log has {units}; name the unit of the column in [data.columns] or [data.rates], or, "
-            "if the wheels slip this much, the SI unit of the rates"
-        )
+        raise _error("units", log.path, ratio=ratio, units=units)
 
 
 def _degrees(path: Path, values: Mapping[str, Array], names: Sequence[str]) -> DataError:
@@ -533,21 +476,12 @@ def _degrees(path: Path, values: Mapping[str, Array], names: Sequence[str]) -> D
     place = [float(np.nanmedian(values[name])) for name in ("x", "y")]
     x, y = (split_unit(name)[0] for name in names)
     if max(map(abs, place)) > FULL_CIRCLE:
-        return DataError(
-            f"{path}: expected positions in m, found {place[0]:.7g} in {x!r} and {place[1]:.7g} in "
-            f"{y!r}, no degrees, but perhaps degrees and minutes (NMEA) or degrees times 1e7; "
-            "convert them to degrees, and project these"
-        )
+        return _error("no_degrees", path, place=place, x=x, y=y)
     is_swapped = x.lower() in ALIASES[-1]
     system = metric_system(*place[:: -1 if is_swapped else 1])
     longitude, latitude = (y, x) if is_swapped else (x, y)
-    return DataError(
-        f"{path}: expected positions in m, found degrees of longitude and latitude; project them "
-        f"to the map's system, {system} for example, and use the columns x and y: python -c "
-        f"\"import pandas, rasterio.warp as w; t = pandas.read_csv('{path}', sep=None, "
-        f"engine='python'); t['x'], t['y'] = w.transform('EPSG:4326', '{system}', "
-        f"t['{longitude}'], t['{latitude}']); t.to_csv('{path.stem}_m.csv', index=False)\""
-    )
+    given = {"file": path, "longitude": longitude, "latitude": latitude}
+    return _error("degrees", path, **given, system=system)
 
 
 def _read_result(path: Path, columns: Mapping[str, str]) -> Columns:
@@ -563,7 +497,7 @@ def _read_result(path: Path, columns: Mapping[str, str]) -> Columns:
         elif column in run.columns:
             table[name] = run[column]
         else:
-            raise _no_rate(path, column, run.columns)
+            raise _error("no_rate", path, name=column, known=", ".join(run.columns))
     return Columns(table)
 
 
@@ -574,7 +508,8 @@ def _read_joints(path: Path, columns: Mapping[str, str]) -> Columns:
     """
     pose, joints = read_motion_log(path)
     if missing := [n for n in columns.values() if n.removesuffix("_rate") not in joints]:
-        raise _no_rate(path, missing[0].removesuffix("_rate"), joints)
+        name, known = missing[0].removesuffix("_rate"), ", ".join(joints)
+        raise _error("no_rate", path, name=name, known=known)
     states = {name: joints[column.removesuffix("_rate")] for name, column in columns.items()}
     every = np.unique(np.concatenate([each.t for each in states.values()]))
     t = np.append(every, pose["t"])
@@ -582,18 +517,13 @@ def _read_joints(path: Path, columns: Mapping[str, str]) -> Columns:
     for name, own in states.items():
         values = own.velocities if name.endswith("_rate") else own.positions
         if not np.isfinite(values).all():
-            raise DataError(
-                f"{path}: expected values of joint {columns[name].removesuffix('_rate')!r} in each "
-                "message, found messages without them; record positions and velocities"
-            )
+            raise _error("no_values", path, joint=columns[name].removesuffix("_rate"))
         table[name] = np.full(t.size, np.nan)
         table[name][np.searchsorted(every, own.t)] = values
     order = np.argsort(t, kind="stable")
     return Columns({name: column[order] for name, column in table.items()})
 
 
-def _no_rate(path: Path, name: str, known: Iterable[str]) -> DataError:
-    return DataError(
-        f"{path}: expected the rates of the wheels and joints of the vehicle, found no joint "
-        f"{name!r} among {', '.join(known)}; name the quantities or joints in [data.rates]"
-    )
+def _error(name: str, path: Path, /, **values: Any) -> DataError:
+    """Return an error of `TEXTS` about a file."""
+    return DataError(f"{path}: {TEXTS[name].format(**values)}")
