@@ -737,9 +737,9 @@ passive = partial(sf.Coordinate, "c", "passive", "c")
         ),
         (
             lambda: actuated(VEHICLE, "steer"),
-            r"passive coordinates \(tilt_right, tilt_left\), found 'steer'",
+            "passive coordinates tilt_right, tilt_left, found 'steer'",
         ),
-        (lambda: actuated(three_wheeler(axle="fixed"), "tilt"), "the vehicle has none"),
+        (lambda: actuated(three_wheeler(axle="fixed"), "tilt"), r"coordinates \(none\), found"),
         (
             lambda: three_wheeler(axle="fixed", stiffness=1.0),
             "with a free joint .* found the fixed axle",

@@ -327,7 +327,7 @@ def test_starts_from_trajectories_and_formulas_of_the_ground():
     [
         ({"method": "fast"}, "method: expected 'simulate' or 'batch', found str 'fast'"),
         ({"quantities": ["works"]}, "quantities: expected names of states"),
-        ({"quantities": ["work"]}, "method='simulate', which also has"),
+        ({"quantities": ["work"]}, "method='simulate' has limits, checks"),
         ({"step": -0.1}, "step: expected a number > 0"),
     ],
 )

@@ -14,7 +14,7 @@ from slipfree.batch.evaluator import Evaluator, evaluator_of
 from slipfree.batch.graph import Graphs, graphs_of
 from slipfree.core.arguments import BY_NAME, check_finite, checked
 from slipfree.core.dae import Dae, WheelCheck, invalid_start
-from slipfree.core.errors import ModelError, require
+from slipfree.core.errors import ModelError, check_known, require
 from slipfree.core.lookups import evaluate as evaluate_at
 from slipfree.core.records import Array, Indices, Label, Mask, by_quantity, leaves
 from slipfree.core.trajectory import WHEELS, Column, Outcome, Trajectory
@@ -491,13 +491,8 @@ def sources_of(graphs: Graphs, names: Sequence[str] | None) -> dict[str, Wanted]
     """
     known = _known_sources(graphs.dae)
     names = list(dict.fromkeys(name.split("[")[0] for name in (known if names is None else names)))
-    for name in names:
-        if name not in known:
-            raise ModelError(
-                f"quantities: expected names of states, unknowns, inputs or outputs, found "
-                f"{name!r}; use some of {', '.join(known)}, or method='simulate', which also has "
-                "limits, checks and work"
-            )
+    more = "(method='simulate' has limits, checks and work, too):"
+    check_known("quantities", names, known, f"names of states, unknowns, inputs or outputs {more}")
     return {name: known[name] for name in names}
 
 

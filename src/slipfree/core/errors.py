@@ -49,7 +49,7 @@ def check_known(
     for name in names:
         if name not in known:
             raise ModelError(
-                f"{argument}: expected {kind} {listed([*known])}, found {name!r}; "
+                f"{argument}: expected {kind} {listed([*known]) or '(none)'}, found {name!r}; "
                 f"{similar(name, known)}correct the name"
             )
 

@@ -124,9 +124,9 @@ def _split_costs(
     for cost in costs:
         terms = ca.SX(0)
         for term in _summands(cost.expression):
-            inner = _squared_term(term, motion)
-            if inner is None:
-                terms += term
+            inner = term.dep(0) if term.op() == ca.OP_SQ else None
+            if inner is None or inner.is_symbolic() or not ca.depends_on(inner, motion):
+                terms += term  # no square, or that of one variable
                 continue
             root = ca.SX.sym("root")
             roots = ca.vertcat(roots, root)
@@ -140,11 +140,3 @@ def _summands(expression: ca.SX) -> list[ca.SX]:
     if expression.op() != ca.OP_ADD:
         return [expression]
     return [term for k in range(2) for term in _summands(expression.dep(k))]
-
-
-def _squared_term(term: ca.SX, motion: ca.SX) -> ca.SX | None:
-    """Return the argument of a square; None for other terms and for squares of one variable."""
-    if term.op() != ca.OP_SQ:
-        return None
-    inner = term.dep(0)
-    return inner if ca.depends_on(inner, motion) and not inner.is_symbolic() else None

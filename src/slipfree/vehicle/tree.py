@@ -13,7 +13,7 @@ import numpy as np
 from annotated_types import Gt, Unit
 
 from slipfree.core.arguments import checked
-from slipfree.core.errors import ModelError, listed, read_table, similar
+from slipfree.core.errors import ModelError, check_known, listed, read_table, similar
 from slipfree.core.records import Array, HtmlRepr, field_overview, overview
 from slipfree.core.schema import Finite, NonNegative, Positive
 from slipfree.geometry import frame
@@ -763,13 +763,7 @@ def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
         If a name is not the name of a passive coordinate.
     """
     passive = [c.name for c in vehicle.of("passive")]
-    for name in names:
-        if name not in passive:
-            raise ModelError(
-                f"actuated: expected one of the passive coordinates "
-                f"({', '.join(passive) or 'the vehicle has none'}), found {name!r}; "
-                f"{'correct' if passive else 'remove'} the name"
-            )
+    check_known("actuated", names, passive, "one of the passive coordinates")
     coordinates = tuple(
         replace(c, kind="commanded", stiffness=0.0, damping=0.0, bump=0.0) if c.name in names else c
         for c in vehicle.coordinates
