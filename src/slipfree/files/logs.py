@@ -324,6 +324,13 @@ def check_motion(
     def path(rate: Array) -> Array:
         return np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(log.every["t"])))
 
+    if speed is not None:
+        travel, parts = change(path(speed)), [speed] if sides is None else sides
+        # angles or counts of an encoder may start again
+        counts = [np.unwrap(each, period=float(np.ptp(each)) or 1.0) for each in parts]
+        likeness = _correlation(size, abs(change(np.sum(counts, axis=0))))
+        if likeness > max(COUNTS, _correlation(size, abs(travel))):
+            raise _error("counts", log.path)
     if sides is not None:
         paths = [*map(path, sides)]
         turns = change(paths[1] - paths[0])
@@ -331,11 +338,8 @@ def check_motion(
             relative = chords * np.exp(-1j * zero)
             _check_sides(log, rows, step, relative, lambda late: [change(p, late) for p in paths])
     if speed is not None:
-        travel, sign = change(path(speed)), 1
-        # rates that are angles or counts of an encoder may start again
-        parts = [speed] if sides is None else sides
-        counts = [np.unwrap(each, period=float(np.ptp(each)) or 1.0) for each in parts]
-        _check_travel(log, size, abs(travel), abs(change(np.sum(counts, axis=0))), ratios or {})
+        sign = 1
+        _check_travel(log, size, abs(travel), ratios or {})
         chords = chords * np.where(travel < 0, -1, 1)
     later = np.isin(rows + step, rows)
     at = np.searchsorted(rows, rows[later] + step)
@@ -452,17 +456,12 @@ def _check_sides(
         raise _error("clocks", log.path, when=when, share=1 - best[1], plain=1 - plain[1])
 
 
-def _check_travel(
-    log: MotionLog, moved: Array, travel: Array, change: Array, ratios: Mapping[str, float]
-) -> None:
+def _check_travel(log: MotionLog, moved: Array, travel: Array, ratios: Mapping[str, float]) -> None:
     """Raise DataError if the motion is as far from that of the wheels as other units are from SI.
 
-    ``moved`` are lengths of chords [m], ``travel`` the paths of the wheels, and ``change`` the
-    changes of their speed.
+    ``moved`` are lengths of chords, ``travel`` the paths of the wheels [m].
     """
     likeness, ratio = _correlation(moved, travel), float(moved.sum() / max(travel.sum(), 1e-300))
-    if _correlation(moved, change) > max(COUNTS, likeness):
-        raise _error("counts", log.path)
     units = ", or ".join(w for w, each in ratios.items() if abs(ratio / each - 1) < NEAR)
     if likeness > ALIKE and ratio < DEGREE:
         raise _degrees(log.path, log.values, ["x", "y"])
