@@ -12,7 +12,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize
@@ -27,7 +26,6 @@ from slipfree.show.ground_drawing import LEVEL, brightness, extent, map_axes
 from slipfree.show.plots import Plot
 from slipfree.show.style import MM, PAGE
 
-SHARE = "RdYlBu"  # colours of the share of headings
 LEVELS, SHOWN = 9, 98.0  # number of colours of the friction, percentile of the last one
 REASONS = ("#0072B2", "#E69F00", "#CC79A7", "#56B4E9", "#F0E442", "#7F4F24", "#000000")
 ALLOWED_COLOR = "#FFFFFF"
@@ -112,7 +110,7 @@ def _headings(drawn: AtlasView) -> Figure:
     figure = style.figure(PAGE, PAGE)  # cropped below
     ax = figure.subplots()
     count = drawn.headings
-    scale = colormaps[SHARE].resampled(min(count, 24) + 1)
+    scale = style.RISK.reversed().resampled(min(count, 24) + 1)
     norm = Normalize(-0.5 / count, 1 + 0.5 / count)  # each number of headings has one colour
     _image(drawn, band.values, scale, norm, ax)
     bar = style.side_bar(ScalarMappable(norm, scale), ax, f"share of {count} headings [1]")
