@@ -311,14 +311,11 @@ def of_pyproj(crs: str, longitude: float, latitude: float) -> tuple[float, float
     return pyproj.Transformer.from_crs(4326, crs, always_xy=True).transform(longitude, latitude)
 
 
-def degrees_at(x: float, y: float) -> str:
-    found = pyproj.Transformer.from_crs("EPSG:32633", 4326, always_xy=True).transform(x, y)
-    return "longitude = {!r}\nlatitude = {!r}".format(*found)
-
-
 def test_a_start_is_the_place_of_pyproj(tmp_path: Path) -> None:
     write_map(tmp_path)
-    path = problem_places(tmp_path, degrees_at(WEST + 10, NORTH - 12))
+    to_degrees = pyproj.Transformer.from_crs("EPSG:32633", 4326, always_xy=True)
+    place = to_degrees.transform(WEST + 10, NORTH - 12)
+    path = problem_places(tmp_path, "longitude = {!r}\nlatitude = {!r}".format(*place))
     start = load_problem(path).spec.start
     assert [*start] == ["x", "y", "heading"]
     assert_allclose((start["x"], start["y"]), (WEST + 10, NORTH - 12), rtol=0, atol=1e-6)

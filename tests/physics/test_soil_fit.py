@@ -26,19 +26,16 @@ UNKNOWNS = tuple(Unknown(name, name) for name in TRUTH)
 NOISE = np.array([0.5, 0.5, 0.05, 0.0005])  # of pull [N], side [N], torque [N m], sinkage [m]
 
 
-def true_runs(repeats: int = 2, slips=(-0.4, 0.1, 0.2, 0.4)) -> WheelRuns:
+@pytest.fixture(scope="module")
+def runs() -> WheelRuns:
     """Return runs of a wheel in the true soil, without errors."""
-    s, b, load = (each.ravel() for each in np.meshgrid(slips, [0.0, 0.3], [40.0, 60.0]))
-    run = np.repeat(np.arange(s.size), repeats)
+    cases = np.meshgrid([-0.4, 0.1, 0.2, 0.4], [0.0, 0.3], [40.0, 60.0])
+    s, b, load = (each.ravel() for each in cases)
+    run = np.repeat(np.arange(s.size), 2)
     motion, load = motion_at_slip(s, b)[:, run], load[run]
     forces = steady_forces(replace(NOMINAL, **TRUTH), SIZE, motion, load)
     values = np.column_stack([forces.pull, forces.side, forces.torque, forces.sinkage])
     return WheelRuns(motion, load, values, run.astype(float))
-
-
-@pytest.fixture(scope="module")
-def runs() -> WheelRuns:
-    return true_runs()
 
 
 def noisy(runs: WheelRuns, seed: int) -> WheelRuns:

@@ -125,10 +125,6 @@ def rates(count, seed=0):
     return {"right_rate": found[0], "left_rate": found[1], "steer_rate": 0.0}
 
 
-def of_run(inputs, k):
-    return {name: each[k] if np.ndim(each) == 2 else each for name, each in inputs.items()}
-
-
 def test_each_run_equals_a_simulation(dae):
     headings, inputs = np.array([0.0, -1.1]), rates(2)
     found = sf.rollouts(dae, {"heading": headings, "x": 0.2}, inputs, T, options=OPTIONS)
@@ -136,7 +132,8 @@ def test_each_run_equals_a_simulation(dae):
     assert found["x"].attrs["units"] == "m"
     for k, heading in enumerate(headings):
         start = sf.settle(dae, heading=heading, x=0.2, options=OPTIONS)
-        run = sf.simulate(dae, start, dae.inputs(**of_run(inputs, k)), T, options=OPTIONS)
+        own = {name: each[k] if np.ndim(each) == 2 else each for name, each in inputs.items()}
+        run = sf.simulate(dae, start, dae.inputs(**own), T, options=OPTIONS)
         for name in run:
             assert_array_equal(found[name][k], run[name], err_msg=name)
     assert (found["outcome"] == "complete").all()

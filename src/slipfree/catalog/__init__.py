@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from functools import cache
 from math import inf, pi
 from typing import Annotated, Any, Literal
 
@@ -454,7 +453,7 @@ TEXTS = ("name", "kind", "words", "parent", "axis", "axle", "value", "motion", "
 
 def described(name: str, keywords: Mapping[str, Any]) -> Vehicle:
     """Return a vehicle of the catalogue with given keywords of its function."""
-    table, known = _tables()[name], dict(keywords)
+    table, known = read_table(__file__, "vehicles.toml")[name], dict(keywords)
     for key, value in keywords.items():
         if isinstance(value, tuple):
             known |= {f"{key}_{axis}": each for axis, each in zip("xyz", value, strict=True)}
@@ -473,11 +472,6 @@ def described(name: str, keywords: Mapping[str, Any]) -> Vehicle:
         _body({key: _value(key, value, known) for key, value in table["body"].items()}),
         planar=table.get("planar", False),
     )
-
-
-@cache
-def _tables() -> dict[str, Any]:
-    return read_table(__file__, "vehicles.toml")
 
 
 def _rows(rows: Iterable[dict[str, Any]], known: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

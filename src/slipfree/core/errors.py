@@ -10,6 +10,7 @@ import re
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Sequence
 from difflib import get_close_matches
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -88,6 +89,7 @@ def require(package: str, extra: str = "xarray", place: str = "") -> Any:
         raise DataError(place + missing_package(package, extra)) from error
 
 
+@cache
 def read_table(module: str, name: str) -> dict[str, Any]:
     """Return the data in a TOML file beside a module, given as its ``__file__``."""
     return tomllib.loads(Path(module).with_name(name).read_text("utf-8"))
