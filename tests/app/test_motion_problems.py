@@ -31,7 +31,7 @@ from slipfree.problem.load import load_problem, verb_of
 from slipfree.problem.result import build, motion_facts, open_result, run_problem
 from slipfree.problem.verbs import plan_search as module
 from slipfree.problem.verbs.base import Result
-from slipfree.problem.verbs.plan import PlanVerb, _simulated, figure_options, with_offer
+from slipfree.problem.verbs.plan import PlanVerb, _simulated, figure_options, with_advice
 from slipfree.problem.verbs.plan_search import start_motion
 from slipfree.problem.verbs.plan_setup import regions
 from slipfree.show import plots
@@ -201,14 +201,14 @@ def test_an_infeasible_slow_plan_offers_momentum():
         **{"layers": None, "places": [("start", 0.0, 0.0)], "needs_friction": True},
     )
     found = SimpleNamespace(run=SimpleNamespace(stop=stop))
-    words = with_offer(setup, found, [guess]).words
+    words = with_advice(setup, found, [guess]).words
     assert "needs torques of 30 N m in all (at x = 0.00 m, y = 2.50 m)" in words
     assert "limits.drive_torque allows 26 N m" in words
     assert 'set model = "dynamics" to plan with momentum' in words
     setup.spec.limits = {"drive_torque": (-8.0, 8.0)}
-    assert "needs torques" not in with_offer(setup, found, [guess]).words
+    assert "needs torques" not in with_advice(setup, found, [guess]).words
     setup.needs_friction = False
-    assert with_offer(setup, found, [guess]) == stop
+    assert with_advice(setup, found, [guess]) == stop
 
 
 # Rigid vehicles: summary of a drive, and plans with sharper load laws

@@ -234,7 +234,7 @@ def test_refusals_name_the_remedy(tmp_path):
     assert "found both; omit --c" in message
     (tmp_path / "out.nc").write_bytes(b"CDF")
     assert "expected a problem file" in refused("export", tmp_path / "out.nc", "--c", tmp_path)
-    with pytest.raises(ModelError, match="locked to a plane"):
+    with pytest.raises(ModelError, match="locked to a vertical"):
         export_controller(catalog.step_climber(), tmp_path)
 
 

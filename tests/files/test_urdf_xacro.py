@@ -123,7 +123,7 @@ def test_trust_reaches_every_reader_and_results_need_none(robot, monkeypatch):
     monkeypatch.chdir(robot.parent)
     Path("p.toml").write_text(PROBLEM.replace("FILE", robot.name))
     trusting = ["--trust", robot.name]
-    assert "guessed: driven: no wheel " in printed("run", "p.toml", "--no-draw", *trusting)
+    assert "guessed: driven (no wheel " in printed("run", "p.toml", "--no-draw", *trusting)
     invoke("vehicle", robot.name, *trusting, code=0)
     assert "wheels.joint_a = {" in guessed_completion(robot, robot.parent, [robot])
     problem = load_problem("p.toml", trust=[robot.name])

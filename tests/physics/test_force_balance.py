@@ -354,7 +354,7 @@ def test_slopes_are_those_under_the_predicted_path(has_headings: bool) -> None:
     assert np.median(np.abs(found.errors[:, :2])) < 0.02
     few = windows.take(np.arange(1))
     predict = Predictor(own, logs, few, slopes)
-    with pytest.raises(sf.ModelError, match="more errors than the 4 unknowns, found 3"):
+    with pytest.raises(sf.ModelError, match="more residuals than the 4 unknowns, found 1"):
         fit_drives(own, predict, few.log)
 
 

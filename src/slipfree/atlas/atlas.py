@@ -153,8 +153,8 @@ class Atlas(Drawable):
         Parameters
         ----------
         friction : float
-            Coefficient of friction at the wheel with the best grip: that of the ground times its
-            grip; 1 on a ground with a map of friction. [1]
+            Coefficient of friction of the ground times the grip of the wheel with the best grip. On
+            a ground with a map of friction, bounds are factors of the map: 1 is the map itself. [1]
 
         Returns
         -------

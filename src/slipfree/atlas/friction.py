@@ -100,7 +100,7 @@ def friction_graphs(pattern: ca.Sparsity) -> FrictionGraphs:
     start = ca.vertcat(y, level, 0, UNKNOWN, 0, ca.SX.zeros(3 * wheels.count))
     graphs = [
         Graph(name, ca.Function(name, [column, ca.SX(0, 1)], [result], {"cse": True}), (), (), ())
-        for name, result in (("start", start), ("step", _step(column, rows, pattern)))
+        for name, result in (("start", start), ("step", _newton_step(column, rows, pattern)))
     ]
     return FrictionGraphs(pattern, *graphs)
 
@@ -123,12 +123,16 @@ class _Wheels:
         return ca.densify(reduce(ca.plus, terms))
 
 
-def _step(column: ca.SX, rows: SearchRows, pattern: ca.Sparsity) -> ca.SX:
-    """Return the column after a Newton step at a level, and at the next level."""
+def _newton_step(column: ca.SX, rows: SearchRows, pattern: ca.Sparsity) -> ca.SX:
+    """Return the rows from ``rates`` on after a Newton step for ``psi`` of the module.
+
+    The step is taken at the present level of ``sigma``; then the rates are predicted at the next,
+    lower level. Bounds are improved by the rates and forces on the way.
+    """
     wheels, load = _Wheels(column, rows, pattern), column[rows.load]
     level, low, high = (column[each] for each in (rows.level, rows.low, rows.high))
     y = column[rows.rates]
-    y *= wheels.count / ca.fmax(-ca.dot(load, y), 1e-12)  # the minimum along the ray
+    y *= wheels.count / ca.fmax(-ca.dot(load, y), 1e-12)  # least psi along the ray: -q.y = count
     slips = wheels.slips(y)
     cones = [_Cone(s, level) for s in slips]
     forces, tangents = [cone.force for cone in cones], [cone.tangent for cone in cones]
@@ -142,12 +146,12 @@ def _step(column: ca.SX, rows: SearchRows, pattern: ca.Sparsity) -> ca.SX:
     # lower bound: rates without power of the load
     rates = -path
     rates += (ca.dot(load, rates) / wheels.count) * y
-    ratio, least = ca.SX(UNKNOWN), ca.SX(UNKNOWN)
+    squared_bound, least = ca.SX(UNKNOWN), ca.SX(UNKNOWN)
     for s in wheels.slips(rates):
-        ratio = ca.fmin(ratio, s[2] ** 2 / (_tangential(s) + TINY))
+        squared_bound = ca.fmin(squared_bound, s[2] ** 2 / (_tangential(s) + TINY))
         least = ca.fmin(least, s[2])
     valid = ca.logic_and(least > 0, decrement < DECREMENT_OF_BOUND)
-    low = ca.fmax(low, ca.if_else(valid, ca.sqrt(ratio), 0))
+    low = ca.fmax(low, ca.if_else(valid, ca.sqrt(squared_bound), 0))
     height, best = level - low, column[rows.forces]
     # upper bound: forces of the Newton step, and of steps along the path
     steps = zip(cones, wheels.slips(newton), wheels.slips(path), strict=True)
@@ -167,8 +171,8 @@ def _step(column: ca.SX, rows: SearchRows, pattern: ca.Sparsity) -> ca.SX:
     lowest = ca.fmax(SMALLEST_LEVEL, low + RELATIVE_GAP * (low + GAP_OFFSET))
     above = ca.fmax(ca.fmax(above, low + LEVEL_SHARE * (level - low)), lowest)
     following = ca.fmin(level, above)
-    ratio = ca.fmin(ca.fmax(height / ca.fmax(following - low, 1e-12), 1), PATH_STEP)
-    move = newton - path * (height * (ratio - 1))
+    stretch = ca.fmin(ca.fmax(height / ca.fmax(following - low, 1e-12), 1), PATH_STEP)
+    move = newton - path * (height * (stretch - 1))
     moved = y + _length_inside(wheels, slips, move, following) * move
     alive = ca.logic_and(low < level, decrement < DECREMENT)
     holds = -ca.dot(load, moved) > WORKING * ca.fabs(ca.dot(load, y))

@@ -562,9 +562,10 @@ def _of(lanes: Mask, array: Any) -> Any:
 
 
 def solve_forces(evaluate: Evaluator, states: Array) -> Array:
-    """Return the distances to the bounds of limits; solve for the forces in the states.
+    """Solve for the forces of ``states``, shape (n_rows, n_lanes), in place.
 
-    The forces of a lane that is solved do not change, whatever the others need.
+    Return the distances to the bounds of limits, shape (n_bounds, n_lanes). The forces of a lane
+    that is solved do not change, whatever the others need.
     """
     graph, rows = evaluate.graphs.checked, evaluate.graphs.rows
     distances = np.empty((len(evaluate.graphs.bounds), states.shape[1]))

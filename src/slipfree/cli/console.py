@@ -726,7 +726,8 @@ def counted(words: str) -> Iterator[Callable[..., None]]:
     if not (console.is_terminal and has_bar()):
         begun, due = time.monotonic(), FIRST_LINE
 
-        def line(done: int, count: int, words: str = words) -> None:
+        def print_progress(done: int, count: int, words: str = words) -> None:
+            """Print a line, at most so often that lines are ever farther apart."""
             nonlocal due
             if has_bar() and (elapsed := time.monotonic() - begun) > due:
                 due = elapsed + min(elapsed / 2, LINES_APART)
@@ -734,7 +735,7 @@ def counted(words: str) -> Iterator[Callable[..., None]]:
                 left_words = f", about {duration(left)} left" if left else ""
                 print_line(f"{words}: {done} of {count}{left_words}", err=True)
 
-        yield line
+        yield print_progress
         return
     columns = "{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, transient=True) as bar:

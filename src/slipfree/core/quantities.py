@@ -90,11 +90,17 @@ def extremes(run: Trajectory, kinds: Mapping[str, str] | None = None) -> dict[st
     Parameters
     ----------
     run : Trajectory
-        The motion. Quantities that it does not have, or not as numbers, have no facts.
+        The motion. Quantities that it does not have, or only as NaN, have no facts.
     kinds : mapping of str to str, optional
         Facts of each quantity, by default those of the table, separated by blanks: ``end`` (last
         value), ``gained`` (change from the first to the last value), ``least``, ``greatest``,
-        ``largest`` (absolute value) or ``most`` (greatest value under the name of the largest).
+        ``largest`` (absolute value) or ``most`` (as ``greatest``, but named as the largest).
+
+    Returns
+    -------
+    dict of str to Fact
+        Facts by name: ``end_NAME``, ``NAME`` if gained, ``NAME_least``, ``NAME_greatest`` and
+        ``NAME_largest``.
     """
     facts = dict[str, Fact]()
     if kinds is None:

@@ -162,8 +162,8 @@ def export_controller(
     """
     if vehicle.planar:
         raise ModelError(
-            f"{vehicle.name!r}: expected a vehicle that moves in all directions, found one that is "
-            "locked to a plane; give a vehicle on a map"
+            f"{vehicle.name!r}: expected a vehicle that moves in space, found one that is locked "
+            "to a vertical plane; give a vehicle on a map"
         )
     check_driven(vehicle)
     rates = GivenRates(given, exact=exact)

@@ -191,7 +191,8 @@ def _standard_fields(path: Path, topic: str) -> Iterator[None]:
     except (AttributeError, TypeError, ValueError, OverflowError) as error:
         raise DataError(
             f"{path}: expected messages in topic {topic!r} with the fields that ROS 2 defines for "
-            f"their type, found a file that defines others ({error}); convert the messages"
+            f"their type, found a file that defines others ({error}); record them with "
+            "the standard definition"
         ) from error
 
 

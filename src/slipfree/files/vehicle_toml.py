@@ -39,7 +39,7 @@ SAME_PLACE = 0.01  # smallest distance of two wheels [radii]
 MAX_WHEEL_MASS = 4e5  # of a radius of 1 m: four balls of osmium, the densest material [kg]
 MAX_LENGTH = 100.0  # largest length in a vehicle [m]
 # rotation from axes x forward, y left (rep103) to axes x right, y forward
-FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+REP103_TO_PAPER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 Value = float | bool | str | Mapping[str, Any]  # of a key in a vehicle file
 PARTS = ("coordinates", "joints", "wheels")
 FRAMES = "'paper' (x right, y forward, z up) or 'rep103' (x forward, y left, z up)"
@@ -193,24 +193,24 @@ def from_rep103(draft: Draft) -> Draft:
         joints=tuple(
             replace(
                 joint,
-                axis=turned_right(unit_vector(joint.axis)),
-                at=turned_right(joint.at),
-                turned=angles_of(FORWARD_UP @ rotation_of(joint.turned) @ FORWARD_UP.T)
-                if any(joint.turned[:2])
+                axis=to_paper_axes(unit_vector(joint.axis)),
+                at=to_paper_axes(joint.at),
+                turned=angles_of(REP103_TO_PAPER @ rotation_of(joint.turned) @ REP103_TO_PAPER.T)
+                if any(joint.turned[:2])  # else a turn about z, the same in both axes
                 else joint.turned,
                 body=_turned_body(joint.body),
             )
             for joint in draft.joints
         ),
         wheels=tuple(
-            replace(wheel, at=turned_right(wheel.at), axle=turned_right(unit_vector(wheel.axle)))
+            replace(wheel, at=to_paper_axes(wheel.at), axle=to_paper_axes(unit_vector(wheel.axle)))
             for wheel in draft.wheels
         ),
         body=_turned_body(draft.body),
     )
 
 
-def turned_right(vector: Vector) -> Vector:
+def to_paper_axes(vector: Vector) -> Vector:
     """Return a vector converted from axes x forward, y left to axes x right, y forward."""
     forward, left, up = vector
     return 0.0 - left, forward, up
@@ -218,10 +218,10 @@ def turned_right(vector: Vector) -> Vector:
 
 def _turned_body(body: tree.Body) -> tree.Body:
     """Return a body converted from axes x forward, y left to axes x right, y forward."""
-    inertia = None if body.inertia is None else in_axes(FORWARD_UP, body.inertia)
+    inertia = None if body.inertia is None else in_axes(REP103_TO_PAPER, body.inertia)
     # a box keeps its own axes: x forward, y left
-    shapes = tuple(placed(shape, FORWARD_UP, np.zeros(3)) for shape in body.shapes)
-    return tree.Body(body.mass, turned_right(body.at), inertia, shapes)
+    shapes = tuple(placed(shape, REP103_TO_PAPER, np.zeros(3)) for shape in body.shapes)
+    return tree.Body(body.mass, to_paper_axes(body.at), inertia, shapes)
 
 
 def placed(shape: T, rotation: Array, origin: Array) -> T:

@@ -160,8 +160,9 @@ def fit_drives(
     count = 3 * predict.windows.log.size
     if count <= len(model.unknowns):
         raise ModelError(
-            f"windows: expected more errors than the {len(model.unknowns)} unknowns, found "
-            f"{count}, three for each window; use longer logs, shorter windows or fewer unknowns"
+            f"windows: expected more residuals than the {len(model.unknowns)} unknowns, found "
+            f"{count // 3} windows with three each (along, across, turn); use longer logs, shorter "
+            "windows or fewer unknowns"
         )
     errors = _Errors(predict, scale, sought.scales)
     values = sought.nominal.copy() if start is None else scale.sought(start)

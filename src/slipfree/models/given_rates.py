@@ -251,9 +251,9 @@ def _check_commands(given: GivenRates, vehicle: Vehicle) -> None:
         )
     if "right" not in names and all(wheel.rollers for wheel in driven):
         raise ModelError(
-            f"{vehicle.name!r}: expected the given rate 'right', since all driven wheels have "
-            f"rollers and the vehicle can move sideways, found only {found}; add "
-            "'right' with the value 0 to drive straight"
+            f"{vehicle.name!r}: expected the given rate 'right', the speed to the right, since "
+            "all driven wheels have rollers and the vehicle can move sideways, found only "
+            f"{found}; add 'right' with the value 0 to drive straight"
         )
     if exact and len(names) > len(driven):
         raise ModelError(

@@ -276,14 +276,20 @@ def unit_words(unit: str) -> str:
 
 
 def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
-    """Return one sentence for each pair of contradictory bounds; without a start only of states."""
-    asked = list(_all_bounds(task))
-    along = [bounds for bounds in asked if not bounds.parts.size]
-    begin = np.full(len(task.dae.scale), np.nan) if start is None else task.dae.rows("z", start, -1)
+    """Return a sentence for each bound that contradicts another one, or a known value.
+
+    Known are values of x and z at the start, way-points and goal. Without ``start``, a settled
+    pose, only the states are known at the start.
+    """
+    all_bounds = list(_all_bounds(task))
+    throughout = [bounds for bounds in all_bounds if not bounds.parts.size]
+    start_unknowns = np.full(len(task.dae.scale), np.nan)
+    if start is not None:
+        start_unknowns = task.dae.rows("z", start, -1)
     sentences = [*_input_conflicts(task)]
-    sentences += _value_conflicts(task, along, "start", np.append(task.start, begin))
+    sentences += _value_conflicts(task, throughout, "start", np.append(task.start, start_unknowns))
+    formulas = [bounds for bounds in throughout if variable_of(task, bounds.expression) is None]
     for condition in task.conditions:
-        formulas = [bounds for bounds in along if variable_of(task, bounds.expression) is None]
         # States and unknowns fixed by a condition, nan if not fixed, shape (n_x + n_z,).
         n_x, n_z = task.start.size, task.dae.scale.size
         known = np.full(n_x + n_z, np.nan)
@@ -292,7 +298,7 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
             if plain is not None and limit.lower == limit.upper:
                 known[plain[1] + (n_x if plain[0] == "z" else 0)] = limit.lower
         sentences += _value_conflicts(task, formulas, role_of(condition.fraction), known)
-    for one, other in combinations(asked, 2):
+    for one, other in combinations(all_bounds, 2):
         apart = max(one.lower - other.upper, other.lower - one.upper)
         together = not (one.parts.size and other.parts.size) or one.parts == other.parts
         if apart > BOUND_TOLERANCE and together and ca.is_equal(one.expression, other.expression):
@@ -341,13 +347,13 @@ def _input_conflicts(task: PlanTask) -> Iterator[str]:
 
 
 def _value_conflicts(
-    task: PlanTask, along: list[Constraint], role: str, known: Array
+    task: PlanTask, throughout: list[Constraint], role: str, known: Array
 ) -> Iterator[str]:
     """Yield a message for each bound that ``known`` values of x and z violate; NaN if not known."""
     x, z, u = task.dae.columns()
     xz = ca.vertcat(x, z)
     unknown = ca.vertcat(task.dae.t, u, xz[np.flatnonzero(np.isnan(known)).tolist()])
-    for bounds in along:
+    for bounds in throughout:
         if ca.depends_on(bounds.expression, unknown):
             continue
         # Unknown values are not in the expression, but arguments must be numbers.

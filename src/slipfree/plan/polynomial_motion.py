@@ -184,9 +184,9 @@ def nearest_fraction(former: PolynomialMotion, start: Array) -> float:
     """Return the fraction of the duration at which a motion is nearest to a state."""
     nodes = former.mesh.nodes
     away = np.linalg.norm(former.states(nodes) - start[:, None], axis=0)
-    return (
-        0.0 if away[0] < SAME_STATE_DISTANCE else float(nodes[: away.size - 1][away[:-1].argmin()])
-    )
+    if away[0] < SAME_STATE_DISTANCE:  # also if a closed path passes its start again
+        return 0.0
+    return float(nodes[away[:-1].argmin()])  # nothing of the motion would follow its last node
 
 
 def numeric_system(program: Program) -> Any:

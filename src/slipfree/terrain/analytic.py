@@ -20,7 +20,7 @@ from slipfree.terrain.bicubic import Bicubic, friction_map
 
 CHUNK = 4096  # points per call of a mapped function, which has a fixed number of points
 BLOCK = 16  # side of a block of cells whose bounds of derivatives are computed together
-CELL = 0.25  # side of a cell in the distance up to which its bounds hold
+CELL = 0.25  # side of a cell, as a share of the distance from it up to which its bounds hold
 EVERYWHERE = (-math.inf, math.inf, -math.inf, math.inf)
 
 
@@ -183,7 +183,10 @@ class Analytic(base.GroundFriction):
         return self._known_bounds.known(reach, self.origin)
 
     def _block_bounds(self, i: int, j: int, reach: float) -> Array:
-        """Return the bounds of `derivative_bounds` for the cells of a block."""
+        """Return bounds of slope [1] and curvature [1/m], shape (2, BLOCK, BLOCK).
+
+        They hold in the cells of block i, j and up to ``reach`` [m] beside them on all sides.
+        """
         sides = [CELL * reach * np.arange(BLOCK * k, BLOCK * (k + 1)) for k in (i, j)]
         low = np.stack([each.ravel() for each in np.meshgrid(*sides, indexing="ij")]) - reach
         boxes = Intervals(low, low + (2 + CELL) * reach)

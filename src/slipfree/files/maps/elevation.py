@@ -872,8 +872,8 @@ def _read_raster(path: Path, ask: raster.Reading) -> Heights:
             raise
         ending = repr(path.suffix) if path.suffix else "no ending"
         raise DataError(
-            f"expected {_expected_endings()}, found {ending} with unknown contents; convert it: "
-            "gdal_translate in out.tif, or check that it is a map"
+            f"expected {_expected_endings()}, found {ending} with unknown contents; check that it "
+            f"is a map, and convert it: gdal_translate {path.name} out.tif"
         ) from error
 
 

@@ -605,8 +605,8 @@ def check_values(
     """Raise DataError if heights contain markers of missing heights.
 
     ``place(index)`` returns the position of a height as text, ``remedy(marker, text)`` what to do
-    with a marker whose value is ``text``. Without ``steps``, the distances of nodes [m], markers
-    that were interpolated are not found.
+    with a marker whose value is ``text``. ``metres`` are those of a unit of z. ``steps`` are the
+    distances of nodes along x and y [m]; without them, interpolated markers are not found.
     """
     z = np.where(np.isfinite(z), z, np.nan)
     if np.isnan(z).all():
@@ -626,7 +626,7 @@ def check_values(
     others = f"the others are from {low:.6g} to {high:.6g}"
     if not is_exact:
         raise DataError(
-            f"expected heights, found steps of a cell that no ground has and values to {text} "
+            f"expected heights, found steps between neighbours too steep for ground, and {text} "
             f"{where}, while {others}: probably markers of missing heights that were interpolated; "
             "declare their value before resampling, as in gdal_edit.py -a_nodata -9999 original.tif"
         )
@@ -639,18 +639,20 @@ def check_values(
 def _repeated_marker(z: Array, metres: float) -> Marker | None:
     """Return a value that is far from all others; None without one.
 
-    Distances are judged in metres, and relative to the gaps among the other heights: maps of few
-    nodes have large gaps. Deep pits without walls are rarer than towers.
+    Distances are judged in metres, of which a unit of z has ``metres``, and relative to the gaps
+    among the other heights: maps of few nodes have large gaps. Deep pits without walls are rarer
+    than towers.
     """
     finite = z[np.isfinite(z)]
     if np.ptp(finite) * metres < NAMED_GAP:
         return None
     values = _distinct_values(finite)
     gaps = np.diff(values)
+    # the largest gap that is not beside a marker, if there are as many markers as there may be
     inner = float(np.sort(gaps)[-MARKERS - 1]) if gaps.size > MARKERS else 0.0
     ends = np.flatnonzero(gaps >= max(NAMED_GAP / metres, RATIO * inner)) + 1
     groups = np.split(np.arange(values.size), ends)
-    body = max(
+    body = max(  # the ground: not a single usual marker, then most values, then most nodes
         groups,
         key=lambda group: (
             group.size > 1 or not _is_named(values[group[0]]),
@@ -663,15 +665,15 @@ def _repeated_marker(z: Array, metres: float) -> Marker | None:
         value = float(values[group[0]])
         gap = max(low - value, value - high)
         is_one = group.size == 1 or all(_is_named(float(each)) for each in values[group])
-        # Least distance that relief cannot explain: the smaller the relief is relative to the
-        # distance, the smaller, unless many nodes have the value: the sea below a cliff.
+        # Distance from the ground from which relief cannot explain a value: it grows with the ratio
+        # of the relief to the distance. Of many nodes it is large: the sea below a cliff.
         relief = (high - low) / (low - value) if value < low else np.inf
-        least = LOW_GAP if relief <= 1 / RATIO else MIDDLE_GAP if relief <= 1 else DEEP_GAP
+        required = LOW_GAP if relief <= 1 / RATIO else MIDDLE_GAP if relief <= 1 else DEEP_GAP
         if np.count_nonzero(finite == value) > MAX_SHARE * finite.size:
-            least = DEEP_GAP
-        least = HIGH_GAP if value > high else least
-        least = NAMED_GAP if _is_named(value) else least
-        if is_one and gap > 0 and gap * metres >= least:
+            required = DEEP_GAP
+        required = HIGH_GAP if value > high else required
+        required = NAMED_GAP if _is_named(value) else required
+        if is_one and gap > 0 and gap * metres >= required:
             return Marker(value, low, high, is_exact=True)
     return None
 

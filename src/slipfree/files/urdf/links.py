@@ -13,7 +13,7 @@ import scipy  # scipy.spatial is imported when it is used, since this takes 0.1 
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.urdf.tree import FORWARD_YAW, Tree, UrdfJoint, facing_forward
-from slipfree.files.vehicle_toml import rotation_of, turned_right, vector_of
+from slipfree.files.vehicle_toml import rotation_of, to_paper_axes, vector_of
 from slipfree.geometry.frame import unit_vector
 from slipfree.models.samples import FramePoses, part_poses
 from slipfree.vehicle.formula import evaluate
@@ -77,7 +77,7 @@ def joint_values(vehicle: Vehicle, robot: Robot | None) -> tuple[ca.SX, dict[str
         if joint.moves and (name := wheel_name(joint.name)) in wheels:
             axis = vector_of(rotation_of(joint.turned) @ unit_vector(joint.axis))
             axle = unit_vector(vehicle.wheels[wheels.index(name)].axle)
-            signs[joint.name] = -float(np.sign(np.dot(turned_right(axis), axle)))
+            signs[joint.name] = -float(np.sign(np.dot(to_paper_axes(axis), axle)))
 
     def value(joint: UrdfJoint) -> ca.SX:
         """Return the value of a joint: of a coordinate, a wheel, or at rest within its limits."""

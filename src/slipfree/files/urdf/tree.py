@@ -523,9 +523,12 @@ def completed(tree: Tree, roles: UrdfTable) -> Tree:
 
 
 def coupled(tree: Tree, couple: Mapping[str, float]) -> Tree:
-    """Return a URDF in which the second of two joints in ``couple`` mimics the first."""
+    """Return a URDF in which the second of two joints mimics the first, as ``couple`` states.
+
+    It has their coefficients a and b: ``a q1 + b q2 = 0``.
+    """
     if not couple:
         return tree
-    (first, ahead), (second, behind) = couple.items()
-    mimic = Mimic(first, -ahead / behind, 0.0)
+    (first, a), (second, b) = couple.items()
+    mimic = Mimic(first, -a / b, 0.0)
     return replace(tree, joints=tree.joints | {second: tree.joints[second]._replace(mimic=mimic)})

@@ -71,7 +71,7 @@ SMALL_CASTER = 0.8  # largest radius of casters without a name or a swivel [radi
 PARALLEL = 0.9  # least cosine of the angle between parallel axles
 BALL_TOUCH = 0.1  # a ball touches the ground of the wheels within this part of its radius
 FULL_TURN = 6.2  # least range of joints whose limits are those of a careless export [rad]
-MIN_ROLLERS = 3  # wheels with rollers have more of them
+MIN_ROLLERS = 4  # least number of a wheel with rollers
 MIN_ROLLER_ANGLE = 10.0  # least angle of rollers [degrees]
 SAME_ANGLE = 0.95  # least length of the mean of unit vectors at twice the angles of rollers
 SMALL = 1e-3  # smaller vectors between places have no direction [m]
@@ -834,15 +834,16 @@ def axle_of(tree: Tree, wheel: UrdfJoint) -> Array:
 
 
 def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, Evidence]]:
-    """Return a URDF in which the rollers of wheels are fixed, and these wheels by joint.
+    """Return a URDF in which joints below wheels with rollers are fixed.
 
-    Rollers turn about axes around that of the wheel, at the same angle to it.
+    Return also the evidence of these wheels, by joint. Rollers are continuous joints of the wheel's
+    link, equally far from its axis.
     """
-    joints, links, guesses = dict(tree.joints), dict(tree.links), {}
+    joints, links, found = dict(tree.joints), dict(tree.links), {}
     for joint in tree.joints.values():
         below = tree.below(joint.child)
         rollers = [roller for roller in below if roller.type == "continuous"]
-        if joint.type != "continuous" or len(rollers) <= MIN_ROLLERS or not tree.is_level(joint):
+        if joint.type != "continuous" or len(rollers) < MIN_ROLLERS or not tree.is_level(joint):
             continue
         axis = np.asarray(unit_vector(joint.axis))
         far = [np.linalg.norm(np.cross(roller.at, axis)) for roller in rollers]
@@ -855,8 +856,8 @@ def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, Evidence]]:
             links[joint.child] = links[joint.child]._replace(shapes=(shape,))
         angle = _roller_angle(rollers, axis)
         fact = "rollers" if angle else "odd"
-        guesses[joint.name] = wheel_evidence(WheelRole(rollers=angle), fact)
-    return replace(tree, joints=joints, links=links), guesses
+        found[joint.name] = wheel_evidence(WheelRole(rollers=angle), fact)
+    return replace(tree, joints=joints, links=links), found
 
 
 def _roller_angle(rollers: Sequence[UrdfJoint], axis: Array) -> float | bool:

@@ -71,9 +71,13 @@ ROWS = named_rows("plan")
 
 
 def facts_of(plan: Plan | LongPlan, setup: plan_setup.Planning) -> dict[str, Fact]:
-    """Return the facts of a plan: iterations, times, costs, differences and violations."""
+    """Return the facts of a plan: iterations, times, costs, and what its simulation has found.
+
+    These are the largest differences between both motions by quantity, and the violations.
+    """
     times = [stage.seconds for stage in plan.stages]
     ended = {stage.status for stage in plan.stages} if plan.accurate else set[str]()
+    # why an accurate plan may not be the one of least cost: the last reason is stated
     reasons = [why for status, why in ipopt.NOT_LEAST.items() if status in ended]
     differences = dict[str, Fact]()
     for name, size in plan.difference.items():
@@ -521,7 +525,7 @@ class PlanVerb(base.DriveVerb):
             elif parts is not None:
                 parts.remove()
         plan = tested.plan
-        run, stop = plan.replay, tested.stop or with_offer(setup, plan, guesses)
+        run, stop = plan.replay, tested.stop or with_advice(setup, plan, guesses)
         if stop is not None and (tested.stop or not plan.success):
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
         facts |= tested.facts
@@ -829,19 +833,20 @@ def initial_speed(run: Trajectory) -> float:
     return float(level * np.cos(pitch) + run["velocity_z"][0] * np.sin(pitch))
 
 
-def with_offer(
+def with_advice(
     setup: plan_setup.Planning, plan: Plan, guesses: Sequence[Trajectory]
 ) -> trajectory.Stop | None:
     """Return the stop of a plan; after a failed search, with the obstacle and a suggestion.
 
     The obstacle is where the ground that can be reached on the mobility map ends between the places
-    of the plan; the suggestion, after a slow plan without a time limit, is a plan with momentum.
+    of the plan; the suggestion is a plan with momentum, after a slow plan that was not ended by the
+    time limit.
     """
     stop, spec = plan.run.stop, setup.spec
     if stop is None or stop.outcome is Outcome.INTERRUPTED:
         return stop
     words, bounds = [stop.words + _separation_words(setup)], spec.limits.get("drive_torque")
-    if not setup.needs_friction or stop.outcome is Outcome.TIME_LIMIT:
+    if not setup.needs_friction or stop.outcome is Outcome.TIME_LIMIT:  # only slow plans need it
         return stop._replace(words="\n".join(words))
     if bounds is not None and guesses and "drive_torque" in guesses[0]:
         guess, needed = guesses[0], guesses[0]["drive_torque"].sum(axis=1)
