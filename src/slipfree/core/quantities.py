@@ -119,6 +119,7 @@ def extremes(run: Trajectory, kinds: Mapping[str, str] | None = None) -> dict[st
                 k, *wheel = np.unravel_index(int(np.nanargmax(sizes)), values.shape)
                 value = float(values[k, *wheel])
                 where = f"wheel {run.wheels[wheel[0]]}, " if wheel else ""
+                where = where.replace("wheel wheel", "wheel")
                 facts[f"{name}_{kind.replace('most', 'largest')}"] = Fact(
                     abs(value) if kind == "largest" else value, unit, f"{where}t = {run.t[k]:.4g} s"
                 )
