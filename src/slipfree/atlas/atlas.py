@@ -28,7 +28,7 @@ from slipfree.atlas.friction import (
 from slipfree.batch import many
 from slipfree.batch.evaluator import Evaluator, EvaluatorOf, evaluator_of, evaluator_of_graphs
 from slipfree.batch.graph import Graph, graph_of
-from slipfree.batch.motion import COMPLETE
+from slipfree.batch.motion import COMPLETE, UNSOLVED, solve_forces
 from slipfree.contact.nearest_points import CLEARANCE
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Parameter, SampledCheck
@@ -500,6 +500,11 @@ def tile_of(
             rests = other_rests(evaluate, states, stands.has_pose)
         states[rows.u] = given  # a vehicle relaxes at rest
         outcomes = many.stand_checked(evaluate, states, stands)
+        lost = np.flatnonzero(outcomes == UNSOLVED)
+        distances = solve_forces(evaluate, states[:, lost])
+        for distance, k in zip(distances, graphs.bounds, strict=True):
+            if dae.limits[k].label.name == "hole_margin":  # far inside a hole there is no ground
+                outcomes[lost[distance < 0]] = k
         bands = _quantities(evaluator, dae.checks, states, tolerance)
         if evaluator.has_rests:
             bands[RESTS.name] = rests.astype(float)

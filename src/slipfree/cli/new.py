@@ -34,6 +34,7 @@ TABLES = {  # comments
     "terrain": "see docs/elevation.md; the coefficient of friction is an assumption",
     "start": "where the vehicle stands; height, pitch and roll follow from the ground",
     "goal": "near the start: change it",
+    "bounds": "limits of the URDF [rad/s]; forward only: NAME = [0.0, ...]",
     "given": "commands of the platform: forward, to the left [m/s], counter-clockwise [rad/s]",
 }
 SPEED, MARGIN = r"(?m)^speed = ([\d.]+) *", 0.8  # of a starter; share of the limits of the URDF
@@ -92,7 +93,7 @@ def new(
                 "omit all options and change the written file"
             )
         from slipfree.contact.closure import has_exact_closure
-        from slipfree.files.urdf.links import largest_rates
+        from slipfree.files.urdf.links import wheel_joints
         from slipfree.problem.build_vehicle import build_vehicle, vehicle_file
         from slipfree.problem.ground_survey import distant_goal
 
@@ -110,12 +111,14 @@ def new(
                 f"{ground}: expected a place where the vehicle stands, found that it stands "
                 f"{words}; choose another map or vehicle"
             )
-        spec, built = problem.spec, build_vehicle(problem)
+        spec, built, bounds = problem.spec, build_vehicle(problem), dict[str, list[float]]()
         if robot := vehicle_file(spec.vehicle, problem).robot:
-            rates = largest_rates(robot)
-            limits = (rates.get(wheel.name, math.inf) * wheel.radius for wheel in built.wheels)
-            slow = float(f"{MARGIN * min(limits):.2g}")
+            joints = wheel_joints(robot)
+            driven = [(w, joints[w.name].max_rate) for w in built.wheels if w.name in joints]
+            slow = float(f"{MARGIN * min(w.radius * rate for w, rate in driven):.2g}")
             text = re.sub(SPEED, lambda each: f"speed = {min(float(each[1]), slow):<16g}", text)
+            own = {w.name: rate for w, rate in driven if w.driven and rate < math.inf}
+            bounds = {f"{name}_rate": [-rate, rate] for name, rate in own.items()}
         if not has_exact_closure(built):  # as required by quasi-statics
             text = text.replace(*RIGID)
         given_keys = (getattr(spec, name).model_dump(exclude_unset=True) for name in OWN)
@@ -133,7 +136,8 @@ def new(
             tables["vehicles"] = [{"name": Path(vehicle).stem, **tables.pop("vehicle")}, OTHER]
         if kind == "plan":
             goal = distant_goal(surface.grid, built, place["x"], place["y"], heading)
-            tables["goal"] = dict(zip("xy", goal, strict=True))
+            tables |= {"goal": dict(zip("xy", goal, strict=True))}
+            tables |= {"bounds": bounds} if bounds else {}
         text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
     write_new_file(text, out, force)
     solve = kind if kind in ("atlas", "compare") else "run"

@@ -226,12 +226,16 @@ def guesses(attributes: Mapping[str, str]) -> Lines:
     """Return the line with the guesses that the reader made about a vehicle.
 
     Of a note such as "guessed driven: no wheel has an actuator: left, right; otherwise write x" it
-    has "driven (no wheel has an actuator)", without the parts and the other choice.
+    has "driven (no wheel has an actuator)", without the parts and the other choice. Details in
+    brackets and reasons that begin with "since" are left out.
     """
     notes = attributes.get(NOTE.replace(" ", "_"), "").split("\n")
     choices = [note.partition("; otherwise")[0] for note in notes if "; otherwise" in note]
     made = [choice.removeprefix("guessed ").rpartition(": ")[0] for choice in choices]
-    short = [re.sub(r": (.*)", r" (\1)", each) for each in made[:MAX_LISTED]]
+    short = [
+        re.sub(r": (.*)", r" (\1)", re.split(r" \(|, since ", each)[0])
+        for each in made[:MAX_LISTED]
+    ]
     where = f"slipfree vehicle {attributes.get('problem_file', 'FILE')} -v"
     text = f"guessed: {'; '.join(short)}; all {len(notes)} notes: {where}"
     return [(NOTE, text)] if made else []

@@ -247,9 +247,13 @@ def number(label: Label, value: float) -> str:
 
 
 def missed_words(sizes: Mapping[str, float], units: Mapping[str, str]) -> str:
-    """Return violations as text, such as ``x at the goal by 3.1e-04 m``."""
+    """Return violations as text, such as ``x at the goal by 3.1e-04 m``, of wheels the largest."""
+    worst = dict[str, str]()  # name of the largest one, by quantity
+    for name in sizes:
+        quantity = name.partition("[")[0]
+        worst[quantity] = max(name, worst.get(quantity, name), key=sizes.__getitem__)
     return ", ".join(
-        f"{name} by {size:.1e} {unit_words(units[name])}".rstrip() for name, size in sizes.items()
+        f"{name} by {sizes[name]:.1e} {unit_words(units[name])}".rstrip() for name in worst.values()
     )
 
 

@@ -18,7 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.batch.many import settle_many
+from slipfree.batch.evaluator import evaluator_of
+from slipfree.batch.many import stand, stand_checked, start_states
+from slipfree.batch.motion import COMPLETE
 from slipfree.core.dae import Dae, InputValue, PiecewiseLinear
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, leaves
@@ -143,10 +145,11 @@ class Controller(ABC):
         """Return states with those that relax at rest; unchanged if no rest is found."""
         if not self.model.rest.numel():
             return x
-        names = self.model.state_names
-        free = dict(zip(names[: -self.model.rest.numel()], x, strict=False))
-        rest = settle_many(self.model, quantities=names, compiled=self._compiled, **free)
-        return x if rest["reason"].item() else np.array([rest[name].item() for name in names])
+        evaluate = evaluator_of(self.model, compiled=self._compiled)
+        free = zip(self.model.state_names[: -self.model.rest.numel()], x[:, None], strict=False)
+        states = start_states(evaluate.graphs, dict(free))
+        stands = stand_checked(evaluate, states, stand(evaluate, states)) == COMPLETE
+        return states[evaluate.graphs.rows.x, 0] + self.model.shift[0] if stands[0] else x
 
 
 class Replanning(Controller):

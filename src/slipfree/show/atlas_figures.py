@@ -112,8 +112,10 @@ def _headings(drawn: AtlasView) -> Figure:
     count = drawn.headings
     scale = style.RISK.reversed().resampled(min(count, 24) + 1)
     norm = Normalize(-0.5 / count, 1 + 0.5 / count)  # each number of headings has one colour
-    _image(drawn, band.values, scale, norm, ax)
-    bar = style.side_bar(ScalarMappable(norm, scale), ax, f"share of {count} headings [1]")
+    is_hole = np.isnan(drawn.maps["elevation"].values)
+    _image(drawn, np.where(is_hole, np.nan, band.values), scale, norm, ax)
+    label = f"share of {count} headings [1]{', grey: no heights' * bool(is_hole.any())}"
+    bar = style.side_bar(ScalarMappable(norm, scale), ax, label)
     bar.set_ticks(np.linspace(0, 1, 5))
     ax.set_title(textwrap.fill(f"Share of headings at which {_share_words(drawn)}", WRAP))
     return style.cropped(figure, ax)

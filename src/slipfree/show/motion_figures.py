@@ -192,9 +192,12 @@ def path(run: Trajectory, ax: Axes) -> Axes:
     x, y = run["x"], run["y"]
     ax.plot(x, y, color=PLATFORM, label="platform", path_effects=style.halo(2.4), zorder=3)
     marks: dict[str, Any] = {"ls": "none", "mec": "black", "ms": 5, "zorder": 5}
-    ax.plot(x[:1], y[:1], "o", mfc="white", label=f"start, {run.t[0]:.4g} s", **marks)
+    above = marks | {"ms": 4, "zorder": 6}  # visible if the vehicle turns on the spot
+    ax.plot(x[:1], y[:1], "o", mfc="white", label=f"start, {run.t[0]:.4g} s", **above)
     if run.stop is None:
-        ax.plot(x[-1:], y[-1:], "s", mfc="black", label=f"end, {run.t[-1]:.4g} s", **marks)
+        ax.plot(
+            x[-1:], y[-1:], "s", mfc="black", label=f"end, {run.t[-1]:.4g} s", **marks | {"ms": 6}
+        )
     else:
         words = f"stopped, {run.stop.t:.4g} s: {run.stop.name}"
         ax.plot(x[-1:], y[-1:], "X", mfc=STOPPED, label=words, **marks | {"ms": 7})

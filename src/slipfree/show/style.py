@@ -28,6 +28,7 @@ STYLE = {
     "xtick.labelsize": 7,
     "ytick.labelsize": 7,
     "axes.linewidth": 0.6,
+    "axes.formatter.useoffset": False,  # heights of a map far above the sea stay readable
     "lines.linewidth": 1.2,
     "legend.frameon": False,
     "legend.handlelength": 1.8,

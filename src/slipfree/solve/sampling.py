@@ -230,6 +230,9 @@ def to_trajectory(system: System, samples: Samples, report: dict[str, Array]) ->
     dae = system.dae
     y, limits, u = evaluate(system.outputs, samples.t[None], *samples[1:3], samples.u)
     x, z = (part + shift[:, None] for part, shift in zip(samples[1:3], dae.shift, strict=True))
+    for k, label in enumerate(leaves(dae.labels.y)):
+        if label.name == "heading":  # computed from an attitude, which does not count turns
+            y[k] = np.unwrap(y[k])
     checks = (_check_margins(check, samples) for check in dae.checks)
     rows = [*x, *z, *samples.q, *u, *y, *limits, *checks, *report.values()]
     groups, wheels = _group_by_quantity(dae, tuple(report))

@@ -248,7 +248,7 @@ def _joint(element: Element, findings: tree.Findings) -> tree.UrdfJoint:
     if kind not in TYPES:
         wrong = repr(kind) if kind else "none"
         joint.wrong(f"expected one of the types {', '.join(TYPES)}, found {wrong}; choose one")
-    ends = [xacro.link_at(element, tag) for tag in ("parent", "child")]
+    parent, child = ends = [xacro.link_at(element, tag) for tag in ("parent", "child")]
     for tag, link in zip(("parent", "child"), ends, strict=True):
         if not link:
             joint.wrong(f'expected <{tag} link="..."/>, found none; add it')
@@ -261,14 +261,15 @@ def _joint(element: Element, findings: tree.Findings) -> tree.UrdfJoint:
                 "expected an axis other than zero, found 0 0 0; "
                 'write <axis xyz="0 1 0"/> for an axis to the left'
             )
-    limit, lower, upper, max_rate = joint.first("limit", "limit"), -math.inf, math.inf, math.inf
+    limit, lower, upper = joint.first("limit", "limit"), -math.inf, math.inf
+    rate = effort = math.inf
     if limit is not None:
         if kind in ("revolute", "prismatic", "fixed") and {"lower", "upper"} & {*limit.attributes}:
             low, high = (limit.number(key, 0.0, is_bound=True) for key in ("lower", "upper"))
             lower = low if abs(low) < MAX_LIMIT else lower
             upper = high if abs(high) < MAX_LIMIT else upper
-        rate = limit.number("velocity", 0.0, is_bound=True)
-        max_rate = rate if 0 < rate < MAX_LIMIT else math.inf
+        given = (limit.number(key, 0.0, is_bound=True) for key in ("velocity", "effort"))
+        rate, effort = (most if 0 < most < MAX_LIMIT else math.inf for most in given)
     if kind == "revolute" and math.isinf(lower) and math.isinf(upper):
         kind = "continuous"
     follows = None
@@ -276,7 +277,7 @@ def _joint(element: Element, findings: tree.Findings) -> tree.UrdfJoint:
         factor, offset = mimic.number("multiplier", 1.0), mimic.number("offset", 0.0)
         follows = tree.Mimic(mimic.name("joint"), factor, offset)
     return tree.UrdfJoint(
-        name, kind, ends[0], ends[1], at, rpy, axis, lower, upper, max_rate, follows, element.line
+        name, kind, parent, child, at, rpy, axis, lower, upper, rate, effort, follows, element.line
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 MAP = "map"  # frame of REP 105
+BOUNDED = (  # facts about wheels, the quantity, and its limit in a joint
+    ("faster_wheels", "wheel_rate", "max_rate"),
+    ("overloaded_wheels", "drive_torque", "max_effort"),
+)
 
 
 class Robot(NamedTuple):
@@ -51,9 +55,26 @@ def wheel_name(joint: str) -> str:
     return re.sub(r"[^\w-]", "_", joint)
 
 
-def largest_rates(robot: Robot) -> dict[str, float]:
-    """Return the velocity limits of a URDF's joints by the wheels that they may carry [rad/s]."""
-    return {wheel_name(joint.name): joint.max_rate for joint in robot.tree.joints.values()}
+def wheel_joints(robot: Robot) -> dict[str, UrdfJoint]:
+    """Return the joints of a URDF by the names of the wheels that they may carry."""
+    return {wheel_name(joint.name): joint for joint in robot.tree.joints.values()}
+
+
+def beyond_limits(robot: Robot, run: Trajectory) -> dict[str, list[dict[str, Any]]]:
+    """Return the wheels that exceed the rate or the torque of their joints in a motion, by fact.
+
+    Rows contain the wheel, the largest value with its time, and the limit [rad/s, N m, s].
+    """
+    joints, found = wheel_joints(robot), dict[str, list[dict[str, Any]]]()
+    for fact, quantity, limit in BOUNDED:
+        for k, wheel in enumerate(run.wheels if quantity in run else ()):
+            sizes = np.nan_to_num(np.abs(run[quantity][:, k]))
+            most, largest = getattr(joints.get(wheel), limit, np.inf), float(sizes.max())
+            if largest > most:
+                t = float(run.t[sizes.argmax()])
+                row = {"wheel": wheel, "value": largest, "limit": most, "t": t}
+                found.setdefault(fact, []).append(row)
+    return found
 
 
 def joint_values(vehicle: Vehicle, robot: Robot | None) -> tuple[ca.SX, dict[str, ca.SX]]:

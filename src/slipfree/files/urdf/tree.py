@@ -108,6 +108,7 @@ class UrdfJoint(NamedTuple):
     lower: float = -math.inf  # limits of the value; infinite without limits [rad or m]
     upper: float = math.inf
     max_rate: float = math.inf  # largest rate; infinite without a limit [rad/s or m/s]
+    max_effort: float = math.inf  # largest torque or force; infinite without a limit [N m or N]
     mimic: Mimic | None = None  # dependence on another joint; None for an independent joint
     line: int = 1
 

@@ -226,8 +226,8 @@ class Wheels:
                 f"{n} {kind}{'s' * (n > 1)} of {radius:g} m" for (kind, radius), n in counts.items()
             )
             message = (
-                f"several shapes ({listed}), of which the one about the axle that touches level "
-                f"ground first gives the radius, {chosen.radius:g} m"
+                f"radius {chosen.radius:g} m of several shapes ({listed}): that of the one about "
+                "the axle that touches level ground first"
             )
             radius = max((s.radius for s in shapes if s.radius != chosen.radius), default=0.0)
             alike.setdefault(message, []).append((joint.name, radius))

@@ -24,7 +24,7 @@ from slipfree.core.quantities import QUANTITIES, extremes, joint_angles
 from slipfree.core.records import Array, HtmlRepr, leaves
 from slipfree.core.trajectory import Outcome, Stop, Trajectory, outcome_words, path_length
 from slipfree.files.netcdf import MAP_TRANSFORM, NOTHING
-from slipfree.files.urdf.links import largest_rates
+from slipfree.files.urdf.links import beyond_limits
 from slipfree.laws.soil import Soil
 from slipfree.models.base import is_determinate
 from slipfree.models.friction_feasibility import BEST, best_utilisation
@@ -247,11 +247,14 @@ FIRST_LINES = """\
 *obstacles: {obstacles}: {obstacles.words}
 filled ground: {filled_samples} of {samples} samples have a wheel on interpolated heights; along \
 the contact points: <filled_paths> {wheel} {length:.4g} of {path_length:.4g} m"""
+SMALLEST_PATH = 0.1  # of the slip, of motions other than turns on the spot [1]
+START = 0.1  # time within which torques at sudden rates decrease, in dynamics [s]
 SLIDES = 0.999  # utilisation above which a wheel slides, in models with friction
 SLIDING, MIN_SLIP = 0.05, 1e-3  # slip above which a wheel slides: share of its speed, and [m/s]
-FASTER = "faster_wheels"  # fact of motions whose wheels exceed limits of their URDF
 LAST_LINES = """\
-*faster than the URDF allows: <faster_wheels> {wheel} {rate:.3g} of {limit:.3g} rad/s
+*faster than the URDF allows: <faster_wheels> {wheel} {value:.3g} of {limit:.3g} rad/s
+*more torque than the URDF allows: <overloaded_wheels> {wheel} {value:.3g} of {limit:.3g} N m at \
+{t:.4g} s
 *!not converged: <not_converged> {name} at {fact} of {samples} samples
 *!diagnostics failed: <failed_diagnostics> {fact}"""
 START_ROWS = named_rows("start") + rows(QUANTITIES["clearance_body"].line)
@@ -303,12 +306,9 @@ class DriveVerb(Verb, ABC):
         if setup.vehicle.mass:
             run = run.with_facts({"gravity": Fact(setup.vehicle.gravity, "m s-2")})
         vehicle, grid = setup.vehicle, setup.ground.grid
-        robot = vehicle_file(problem.spec.vehicle, problem).robot
-        limits = largest_rates(robot) if robot else {}
-        rates = _by_wheel(run, {"rate": np.abs(run["wheel_rate"]).max(axis=0)})
-        rows = [each | {"limit": limits.get(each["wheel"], np.inf)} for each in rates]
-        if faster := [each for each in rows if each["rate"] > each["limit"]]:
-            run = run.with_facts({FASTER: Fact(faster)})
+        if robot := vehicle_file(problem.spec.vehicle, problem).robot:
+            beyond = beyond_limits(robot, run)
+            run = run.with_facts({name: Fact(wheels) for name, wheels in beyond.items()})
 
         def with_filled(run: Trajectory) -> Trajectory:
             """Return a motion with facts about wheel paths over filled holes of the map."""
@@ -391,6 +391,7 @@ class DriveVerb(Verb, ABC):
         certificate = f"{facts.get('contact_certificate', '')}"
         omitted = {"contact certificate"} if certificate.startswith("clean") else set[str]()
         omitted |= {"friction"} if "friction_utilisation_largest" in facts else set()
+        omitted |= {"drives"} if "energy_imbalance" not in facts else set()
         main_rows = (row for row in self.rows if row.is_main and row.name not in omitted)
         shown = lines(main_rows if main else self.rows, values_of(run, facts))
         return shown + guesses(run.attributes) * main
@@ -459,8 +460,8 @@ def drive_facts(run: Trajectory) -> dict[str, Fact]:
     if duration > 0:
         squares = np.trapezoid(slip**2, run.t, axis=0).mean()
         facts["slip_rms"] = Fact(float(np.sqrt(squares / duration)), "m s-1")
-    if length > 0:
-        total = np.trapezoid(slip, run.t, axis=0).mean()
+    total = np.trapezoid(slip, run.t, axis=0).mean()
+    if length > SMALLEST_PATH * total:
         facts["slip_per_path"] = Fact(float(total / length), "m m-1")
     steps = np.hypot(np.diff(run["x"]), np.diff(run["y"]))
     facts["sample_distance_largest"] = Fact(float(steps.max(initial=0.0)), "m")
@@ -484,8 +485,12 @@ def drive_facts(run: Trajectory) -> dict[str, Fact]:
     if model == "kinematics" and duration > 0:
         speeds = (np.gradient(run[name], run.t, axis=0) for name in ("contact_x", "contact_y"))
         if np.any(slip > SLIDING * np.hypot(*speeds) + MIN_SLIP):
-            words = "without the friction of sliding wheels, which model = 'dynamics' has"
-            facts["left_out"] = Fact(words)
+            has_model = run.attributes.get(VERB_ATTRIBUTE) != "inverse"
+            facts["left_out"] = Fact(
+                "without the friction of sliding wheels, which "
+                + "a direct problem with [inputs] file = 'RATES.csv' and " * (not has_model)
+                + "model = 'dynamics' has"
+            )
     meaning = f"by the slip law {law!r}, not a prediction"
     if law == "least":
         meaning = "the least that kinematics allows: a lower bound, not a prediction"
@@ -494,6 +499,11 @@ def drive_facts(run: Trajectory) -> dict[str, Fact]:
         work, lost = (run[name] - run[name][0] for name in ("work", "lost_energy"))
         balance = float(np.abs(energy - energy[0] - work + lost).max())
         facts["energy_imbalance"] = Fact(balance, "J")
+        torques = np.nan_to_num(np.abs(run["drive_torque"])).max(axis=1)
+        since = run.t - run.t[0]
+        if since[torques.argmax()] <= START < since[-1]:
+            later = float(torques[since > START].max())
+            facts["torque_after_start"] = Fact(later, "N m", f"{START:g} s")
         meaning = f"a prediction with inertia, by the wheel-ground law {law!r}"
     else:
         facts["contact_certificate"] = Fact(_certificate(run, facts))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -16,6 +16,7 @@ from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.mcap import is_mcap, read_joint_commands
 from slipfree.files.netcdf import NOTHING
+from slipfree.files.tables import read_columns, read_names
 from slipfree.files.toml import Fault, Piecewise, PiecewiseConstantOrFile, Positive, format_value
 from slipfree.files.urdf.links import Robot, joint_values
 from slipfree.geometry import path
@@ -59,21 +60,20 @@ class _Actuator(NamedTuple):
 
 
 def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dict[str, Piecewise]:
-    """Return the inputs that an MCAP file commands, by name; joints without input are ignored.
+    """Return the inputs that a file commands, by name; joints without input are ignored.
 
-    The rates are the commanded velocities. If some messages have no velocity, the rates between two
-    messages are constant, and each position is reached at the time of its message. ProblemError is
-    raised if the file cannot be used, or its first positions are not those of the start.
+    The rates of an MCAP file are the commanded velocities. If some messages have no velocity, the
+    rates between two messages are constant, and each position is reached at the time of its
+    message. Those of a CSV file, as `slipfree.files.netcdf.export_rates` writes it, are the means
+    of consecutive rows. ProblemError is raised if the file cannot be used, or its first positions
+    are not those of the start.
     """
     spec: MotionKeys = problem.spec
     robot = vehicle_file(spec.vehicle, problem).robot
     actuators, inputs = _actuators(vehicle, robot), dict[str, Piecewise]()
     with at(problem, ("inputs", FILE)):
         if not is_mcap(Path(file)):
-            raise DataError(
-                f"expected an MCAP file, whose name ends in .mcap, found {file!r}; convert the "
-                "commands to MCAP"
-            )
+            return _read_rates(problem.folder / file, [each.name for each in actuators.values()])
         commands = read_joint_commands(problem.folder / file)
         for joint, actuator in actuators.items():
             if joint not in commands or actuator.name in inputs:
@@ -111,6 +111,31 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
                 )
             )
     return inputs
+
+
+def _read_rates(file: Path, inputs: Sequence[str]) -> dict[str, Piecewise]:
+    """Return the rates in a CSV file by input; rates between two rows are their mean.
+
+    Of two rows with the same time, the second one counts from there on.
+    """
+    expected = f"times t and rates of some of the inputs {', '.join(inputs)}"
+    names = [name for name in inputs if name in read_names(file, expected)]
+    if not names:
+        raise DataError(f"{file}: expected {expected}, found none of them; name the columns so")
+    t, *rates = read_columns(file, ["t", *names], expected).values.values()
+    steps = np.diff(t, prepend=0.0)
+    if steps.min() < 0 or t[-1] <= 0:
+        raise DataError(
+            f"{file}: expected times that increase from 0 on, found {t[0]:g} to {t[-1]:g} s; sort "
+            "the rows, and count the times from the start"
+        )
+    since, later = np.append(0.0, t)[:-1], steps > 0
+    means = [(np.append(each[0], each)[:-1] + each) / 2 for each in rates]
+    table = zip(names, means, rates, strict=True)
+    return {
+        name: (*zip(since[later].tolist(), mean[later].tolist(), strict=True), (t[-1], last[-1]))
+        for name, mean, last in table
+    }
 
 
 def _actuators(vehicle: Vehicle, robot: Robot | None) -> dict[str, _Actuator]:
@@ -155,7 +180,7 @@ class Direct(Modelled):
     Attributes
     ----------
     inputs : mapping of str to float, tuple or str or None
-        Rates of driven wheels and commanded joints, by name, or 'file', an MCAP file with commands
+        Rates of driven wheels and commanded joints, by name, or 'file', a CSV or MCAP file of them
         of joints. [rad/s, m/s]
     driver : SampledDriver or None
         a driving law.
@@ -180,7 +205,7 @@ class Direct(Modelled):
         for name, value in (self.inputs or {}).items():
             if isinstance(value, str) != (name == FILE):
                 words = "a number, or an array of [time, value] pairs"
-                expected = "the name of an MCAP file in quotes" if name == FILE else words
+                expected = "the name of a CSV or MCAP file in quotes" if name == FILE else words
                 yield Fault(("inputs", name), expected, format_value(value))
 
 

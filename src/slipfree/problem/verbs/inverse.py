@@ -389,7 +389,7 @@ class InverseVerb(base.DriveVerb):
         for name in (each for each in known if f"{each}_error" in run):
             error, unit = np.abs(run[f"{name}_error"]), run.columns[f"{name}_error"].label.unit
             unit, worst = printed_unit(unit), int(error.argmax())
-            if name not in COMMANDS:  # errors of a path accumulate
+            if name not in COMMANDS or not off:  # errors of a path accumulate
                 words = f"{error[-1]:.1e} {unit} at the end"
             elif is_turning.all():
                 words = f"the steering is never within {STEERED:g} rad of its target"

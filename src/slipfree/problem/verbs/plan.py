@@ -29,9 +29,11 @@ from slipfree.core.trajectory import Outcome, Trajectory, ipopt_words
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml import Fault, problem_error
 from slipfree.geometry.path import Path
+from slipfree.laws.compliant import Compliant
+from slipfree.laws.protocols import ContactLaw
 from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
-from slipfree.models.kinematics import direct_kinematics, quasi_statics
+from slipfree.models.kinematics import quasi_statics
 from slipfree.plan import ipopt
 from slipfree.plan.constraints import COST, DURATION, missed_words
 from slipfree.plan.guess import settled_start
@@ -424,7 +426,6 @@ def _tracking(setup: OverSolids, run: Trajectory) -> dict[str, Fact]:
 
 MAX_SAMPLES = 401  # largest number of samples of a plan in the viewer
 PATH_SAMPLES = 121  # samples of the path of an iterate
-STIFFER = 10.0  # factor of the stiffness in a second simulation of pressed wheels
 OFFER = (
     'no slow motion was found within these limits; set model = "dynamics" to plan with momentum: '
     "inertia then carries the vehicle where its drives alone do not"
@@ -533,7 +534,6 @@ class PlanVerb(base.DriveVerb):
         diagnostics: dict[str, base.Diagnostic] = {
             "optimality": lambda run: run.with_facts(optimality_facts(plan)),
             "by_friction": lambda run: run.with_facts(_by_friction(setup, plan)),
-            "by_stiffness": lambda run: run.with_facts(_by_stiffness(setup, plan)),
             "with_inertia": lambda run: run.with_facts(_in_soil(setup, plan)),
             "momentum": lambda run: run.with_facts(_momentum(setup, plan)),
         }
@@ -716,21 +716,25 @@ def _simulated(
 
 
 def _by_friction(setup: plan_setup.Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
-    """Return the facts of the quasi-static motion under the plan's inputs.
+    """Return the facts of the motion with friction under the plan's inputs.
 
-    There are none without mass, friction or exact contact, and for plans with forces.
+    It is quasi-static, or has inertia if wheels press into the ground. There are no facts without
+    mass or friction, and for plans with forces.
     """
-    able = has_exact_closure(setup.vehicle) and setup.vehicle.mass and setup.terrain.has_friction
+    able = setup.vehicle.mass and setup.terrain.has_friction
     if not (plan.success and able and setup.spec.model == "kinematics"):
         return {}
 
     def build() -> tuple[Dae, Trajectory]:
+        if not has_exact_closure(setup.vehicle):
+            return _with_inertia(setup, plan, options, Compliant())
         model: Dae = quasi_statics(setup.vehicle, setup.terrain)
         return model, settle(model, options=options, **start_values(setup.spec, setup.start))
 
     def slip(run: Trajectory) -> dict[str, Fact]:
-        facts = base.drive_facts(run)
-        return {name: facts[name] for name in ("slip_per_path", "utilisation_largest")}
+        facts, names = base.drive_facts(run), ("slip_per_path", "utilisation_largest")
+        known = {name: facts[name] for name in names if name in facts}
+        return known | ({"model": Fact("with inertia")} if "kinetic_energy" in run else {})
 
     options, facts = setup.spec.solver.options, dict[str, Fact]()
     for least in (PRECISE_TOLERANCE, FRICTION_TOLERANCE):
@@ -746,17 +750,13 @@ def start_values(spec: plan_setup.PlanKeys, start: Trajectory) -> dict[str, Any]
     return {name: float(start[name][0]) for name in {**spec.start, "heading": 0.0}}
 
 
-def _by_stiffness(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
-    """Return the facts of the motion with stiffer wheels, if wheels press into the ground."""
-    if has_exact_closure(setup.vehicle) or not plan.success or setup.spec.model == "dynamics":
-        return {}
-    wheels = tuple(replace(w, static_depth=w.depth / STIFFER) for w in setup.vehicle.wheels)
-    stiff, slip = replace(setup.vehicle, wheels=wheels), model_law(setup.problem)
-    model: Dae = direct_kinematics(stiff, setup.terrain, slip=slip)
-    options = setup.spec.solver.options
-    return _simulated(
-        "stiff", setup, plan, lambda: (model, settled_start(model, setup.start, options)), options
-    )
+def _with_inertia(
+    setup: plan_setup.Planning, plan: Plan | LongPlan, options: SolverOptions, law: ContactLaw
+) -> tuple[Dae, Trajectory]:
+    """Return the dynamic model and its start with the speed of the plan."""
+    model: Dae = dynamics(setup.vehicle, setup.terrain, law=law)
+    values = start_values(setup.spec, setup.start) | {SPEED: initial_speed(plan.replay)}
+    return model, settle(model, options=options, **values)
 
 
 def _in_soil(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
@@ -768,11 +768,6 @@ def _in_soil(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
     if not (plan.success and setup.spec.model == "quasi-static" and isinstance(law, Soil)):
         return {}
     options = setup.spec.solver.options
-
-    def build() -> tuple[Dae, Trajectory]:
-        model: Dae = dynamics(setup.vehicle, setup.terrain, law=law)
-        values = start_values(setup.spec, setup.start) | {SPEED: initial_speed(plan.replay)}
-        return model, settle(model, options=options, **values)
 
     def compared(run: Trajectory) -> dict[str, Fact]:
         """Return facts of the motion in soil, and the same of the plan."""
@@ -786,6 +781,7 @@ def _in_soil(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
             }.items()
         }
 
+    build = partial(_with_inertia, setup, plan, options, law)
     return _simulated("soil", setup, plan, build, options, compared)
 
 
