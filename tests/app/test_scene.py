@@ -459,7 +459,7 @@ def test_meshes_of_a_urdf_are_drawn(tmp_path: Path) -> None:
     found = shown(solved(tmp_path, "cart", NAMED), "cart")
     assert isinstance(found, Driven)
     (faster,) = found.run.facts["faster_wheels"].value
-    assert (faster["wheel"], faster["limit"], faster["rate"] > 1) == ("left_drive", 1.0, True)
+    assert (faster["wheel"], faster["limit"], faster["value"] > 1) == ("left_drive", 1.0, True)
     (actor,), origin = (scene := drive_scene([found])).actors, scene.origin
     bodies = {each.name: each for each in actor.bodies}
     assert actor.bodies[0].name == "platform"

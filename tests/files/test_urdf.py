@@ -250,10 +250,11 @@ def test_a_wheel_has_the_radius_of_the_shape_that_touches_first(tmp_path):
         file = changed(tmp_path, "cart", (link, link + lug + rim.format(smaller)))
         vehicle = read_vehicle(file)
         assert vehicle.wheels[0].radius == radius
-        (note,) = [note for note in vehicle.notes if note.startswith("several shapes")]
+        (note,) = [note for note in vehicle.notes if "several shapes" in note]
         assert f"(1 sphere of 0.02 m, 1 cylinder of {smaller} m, 1 cylinder of 0.15 m)" in note
         other = f"left_drive = {{ radius = {smaller if radius == 0.15 else 0.15} }}"
-        assert note.endswith(f"radius, {radius} m: left_drive; otherwise write wheels.{other}")
+        assert note.startswith(f"radius {radius} m of ")
+        assert note.endswith(f"ground first: left_drive; otherwise write wheels.{other}")
     roles = (
         'urdf = "cart.urdf"\njoints = { caster = "passive" }\n[wheels]\n'
         "caster_axle.driven = false\nleft_drive.radius = 0.11\n"

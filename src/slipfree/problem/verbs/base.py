@@ -485,12 +485,10 @@ def drive_facts(run: Trajectory) -> dict[str, Fact]:
     if model == "kinematics" and duration > 0:
         speeds = (np.gradient(run[name], run.t, axis=0) for name in ("contact_x", "contact_y"))
         if np.any(slip > SLIDING * np.hypot(*speeds) + MIN_SLIP):
-            has_model = run.attributes.get(VERB_ATTRIBUTE) != "inverse"
-            facts["left_out"] = Fact(
-                "without the friction of sliding wheels, which "
-                + "a direct problem with [inputs] file = 'RATES.csv' and " * (not has_model)
-                + "model = 'dynamics' has"
-            )
+            words = "without the friction of sliding wheels, which model = 'dynamics' has"
+            inverse = " in a direct problem with their rates (export --rates, [inputs] file)"
+            is_inverse = run.attributes.get(VERB_ATTRIBUTE) == "inverse"
+            facts["left_out"] = Fact(words + inverse * is_inverse)
     meaning = f"by the slip law {law!r}, not a prediction"
     if law == "least":
         meaning = "the least that kinematics allows: a lower bound, not a prediction"
