@@ -31,7 +31,13 @@ from slipfree.problem.load import load_problem, verb_of
 from slipfree.problem.result import build, motion_facts, open_result, run_problem
 from slipfree.problem.verbs import plan_search as module
 from slipfree.problem.verbs.base import Result
-from slipfree.problem.verbs.plan import PlanVerb, _simulated, figure_options, with_advice
+from slipfree.problem.verbs.plan import (
+    PlanVerb,
+    _simulated,
+    figure_options,
+    initial_speed,
+    with_advice,
+)
 from slipfree.problem.verbs.plan_search import start_motion
 from slipfree.problem.verbs.plan_setup import regions
 from slipfree.show import plots
@@ -64,6 +70,31 @@ def test_a_run_tells_contact_and_energy_and_is_reported(monkeypatch):
     monkeypatch.setattr("slipfree.problem.verbs.base.DriveVerb.figures", lambda *_: ())
     assert "replaces" not in printed("report", FILE, "-o", "r.html")
     assert "which replaces the earlier file" in printed("show", FILE, "--html", "r.html")
+
+
+def test_the_torque_of_a_sudden_start_is_told_with_that_after_it():
+    told, result = drove("skid_turn", "time.duration=0.3")
+    torque, t = np.abs(result.trajectory["drive_torque"]), result.trajectory.t
+    assert torque.max() == torque[0].max() > 5 * (later := torque[t > 0.1].max())
+    assert f"t = 0 s, as wheels reach their rates; {later:.4g} N m after 0.1 s)" in told
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:slower:UserWarning")
+def test_plans_of_pressed_wheels_are_simulated_with_friction_and_inertia():
+    """The same motion, from its exported rates, ends as far from the plan."""
+    file = PROBLEMS / "plan_rigid_robot.toml"
+    told = printed("run", file, "-o", FILE, "--no-draw", *sets("goal.x=1.2", "plan.duration=2"))
+    assert "from the plan, with inertia, slips" in told
+    printed("export", FILE, "--rates", "rates.csv")
+    plan = open_result(FILE).trajectory
+    head = file.read_text().split("[goal]")[0].replace('"plan"', '"direct"\nmodel = "dynamics"')
+    last = "[inputs]\nfile = 'rates.csv'\n[time]\nduration = 2\nstep = 0.02\n"
+    Path("again.toml").write_text(f"{head}speed = {initial_speed(plan.in_frame('paper'))}\n{last}")
+    printed("run", "again.toml", "-o", "again.nc", "--no-draw")
+    again = open_result(Path("again.nc")).trajectory
+    apart = np.hypot(*(again[name][-1] - plan[name][-1] for name in "xy"))
+    assert apart == pytest.approx(plan.facts["friction_end_distance"].value, abs=2e-3)
 
 
 @pytest.mark.slow

@@ -449,7 +449,9 @@ def test_meshes_of_a_urdf_are_drawn(tmp_path: Path) -> None:
     text = text.replace('<link name="base_link">', body).replace(
         left := '<link name="left_wheel">', left + wheel
     )
-    text = text.replace('<origin xyz="0 0.25 0"/>', '<origin xyz="0 0.25 0"/><limit velocity="1"/>')
+    text = text.replace(
+        '<origin xyz="0 0.25 0"/>', '<origin xyz="0 0.25 0"/><limit velocity="1" effort="1e-6"/>'
+    )
     fork = '"fork"><collision><geometry><sphere radius="0.01"/></geometry></collision>'
     (tmp_path / "cart.urdf").write_text(text.replace('"fork">', fork), encoding="utf-8")
     trimesh.creation.box((1.0, 0.6, 0.2)).export(tmp_path / "body.stl")
@@ -460,6 +462,7 @@ def test_meshes_of_a_urdf_are_drawn(tmp_path: Path) -> None:
     assert isinstance(found, Driven)
     (faster,) = found.run.facts["faster_wheels"].value
     assert (faster["wheel"], faster["limit"], faster["value"] > 1) == ("left_drive", 1.0, True)
+    assert [each["wheel"] for each in found.run.facts["overloaded_wheels"].value] == ["left_drive"]
     (actor,), origin = (scene := drive_scene([found])).actors, scene.origin
     bodies = {each.name: each for each in actor.bodies}
     assert actor.bodies[0].name == "platform"

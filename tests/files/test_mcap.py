@@ -406,6 +406,27 @@ def test_positions_of_joints_are_reached_at_the_next_message(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("t,left_drive_rate,right_drive_rate [deg/s]\n0,0,180\n1,2,180\n1,4,180\n2,4,180\n", ""),
+        ("t,arm\n0,1\n", "left_drive_rate, right_drive_rate, found none of them"),
+        ("t,left_drive_rate\n1,0\n0,1\n", "expected times that increase from 0 on, found 1 to 0 s"),
+    ],
+)
+def test_rates_in_a_csv_file_are_linear_between_rows(rows, words, tmp_path):
+    problem = _cart(tmp_path, (["arm"], [], [1.0]))
+    (tmp_path / "c.csv").write_text(rows)
+    loaded = load_problem(problem, ["inputs.file=c.csv", "time.duration=1.5"])
+    if words:
+        refuses(DataError, words, run_problem, loaded)
+        return
+    run = run_problem(loaded).trajectory
+    angles = dict(zip(run.wheels, run["wheel_angle"][-1] - run["wheel_angle"][0], strict=True))
+    assert angles["left_drive"] == pytest.approx(1 + 2, abs=1e-6)
+    assert angles["right_drive"] == pytest.approx(1.5 * np.pi, abs=1e-6)
+
+
+@pytest.mark.parametrize(
     ("messages", "words"),
     [
         ([(["arm"], [], [1.0])], "commands of one or more of the joints .*right_drive, found thos"),

@@ -145,6 +145,21 @@ def test_reasons_name_the_border_steep_ground_and_the_share_of_headings():
         found["slope"]
 
 
+def test_no_ground_far_inside_a_hole_is_named():
+    """Heights there are placeholders, of which no pose is found."""
+    axis = np.linspace(-3.0, 3.0, 31)
+    holes = np.broadcast_to((axis > 0)[:, None], (31, 31))
+    z = np.where(holes, np.random.default_rng(1).normal(0, 50, holes.shape), 0.0)
+    model = sf.direct_kinematics(
+        sf.catalog.rigid_skid_steer(), sf.Bicubic(sf.Grid(axis, axis, z, holes=holes))
+    )
+    found = sf.atlas(model, headings=4, x=[-2.0, 2.0], y=[0.0, 0.5], compiled=False)
+    assert found.stands[:, 0].all()
+    assert {found.reasons[int(k)][:20] for k in found["reason"][:, 1].ravel()} == {
+        "a wheel reaches a ho"
+    }
+
+
 def test_a_rigid_vehicle_is_held_by_its_own_loads():
     """Bounds for given loads enclose a linear programme; poses are those of settle."""
     ground, vehicle = hills(rms=0.1), sf.catalog.rigid_skid_steer()

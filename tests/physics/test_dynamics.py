@@ -72,6 +72,18 @@ def test_a_tumbling_vehicle_keeps_its_energy_and_falls_freely():
     assert np.abs(height - np.polyval(fall, t)).max() < 1e-8
 
 
+def test_headings_count_whole_turns():
+    model = sf.dynamics(sf.catalog.rigid_skid_steer(), FLAT)
+    left, right = (
+        {f"{end}_{side}_rate": rate for end in ("front", "rear")}
+        for side, rate in (("left", -4.0), ("right", 4.0))
+    )
+    start = sf.settle(model, heading=3.0)
+    run = sf.simulate(model, start, model.inputs(**left, **right), np.linspace(0, 4, 41))
+    assert run["heading"][-1] > 4
+    assert np.abs(np.diff(run["heading"])).max() < 0.5
+
+
 @pytest.mark.parametrize(
     ("section", "inertia"),
     [(Sphere(0.1), (0.4 * 2 * 0.01, 0.4 * 2 * 0.01)), (Torus(0.03, 0.12), None)],
