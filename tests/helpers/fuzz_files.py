@@ -478,18 +478,9 @@ def _named(_: str, rng: Random) -> Case:
 
 
 KINDS: dict[str, Callable[[str, Random], Case]] = {
-    "direct": _problem,
-    "inverse": _problem,
-    "plan": _problem,
-    "vehicle": _vehicle,
-    "asc": ascii_grid,
-    "npz": archive,
-    "points": points,
-    "ply": cloud,
-    "pcd": cloud,
-    "sidecar": beside,
-    "result": _result,
-    "name": _named,
+    **dict.fromkeys(("direct", "inverse", "plan"), _problem),
+    **{"vehicle": _vehicle, "asc": ascii_grid, "npz": archive, "points": points, "ply": cloud},
+    **{"pcd": cloud, "sidecar": beside, "result": _result, "name": _named},
 }
 # kinds of which nothing may be printed
 SILENT_KINDS = {"urdf": urdf, "raster": raster}

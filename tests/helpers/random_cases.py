@@ -178,17 +178,10 @@ def _coarse(rng: np.random.Generator) -> sf.Grid:
 
 
 GROUNDS: dict[str, Callable[[np.random.Generator], Any]] = {
-    "hills": _hills,
-    "slope": _slope,
-    "bowl": _bowl,
-    "cliff": _cliff,
-    "rough": _rough,
-    "craters": _craters,
-    "rocks": _rocks,
-    "ramp": _ramp,
+    **{"hills": _hills, "slope": _slope, "bowl": _bowl, "cliff": _cliff, "rough": _rough},
+    **{"craters": _craters, "rocks": _rocks, "ramp": _ramp},
     "small": lambda rng: _rough(rng, _map(float(rng.choice([3.0, 4.0, 5.0])))),
-    "coarse": _coarse,
-    "flat": lambda _: _map(),
+    **{"coarse": _coarse, "flat": lambda _: _map()},
     "plane": lambda _: sf.Analytic(lambda x, _: 0 * x),
 }
 GROUND_SHARES = dict.fromkeys(GROUNDS, 1.0) | {"rough": 4, "hills": 3, "rocks": 2, "small": 2}
@@ -263,18 +256,8 @@ def start_of(case: Case, ground: Any, vehicle: sf.Vehicle) -> dict[str, Any]:
     return start
 
 
-INPUT_SHARES = {
-    "even": 3,
-    "uneven": 3,
-    "zero": 0.7,
-    "huge": 0.7,
-    "reversed": 1,
-    "opposed": 1,
-    "piecewise": 2,
-    "waves": 2,
-    "straight": 3,
-    "follow": 3,
-}
+INPUT_SHARES = {"even": 3, "uneven": 3, "zero": 0.7, "huge": 0.7, "reversed": 1, "opposed": 1}
+INPUT_SHARES |= {"piecewise": 2, "waves": 2, "straight": 3, "follow": 3}
 
 
 def inputs_of(case: Case, dae: Any, start: Any, count: int) -> Any:

@@ -15,16 +15,8 @@ from slipfree.terrain.base import Terrain
 from slipfree.terrain.synthetic import power_law
 from slipfree.vehicle.tree import EARTH_GRAVITY, Drive
 
-VEHICLES = (
-    "three_wheeler",
-    "differential_drive",
-    "ackermann",
-    "skid_steer",
-    "rigid_skid_steer",
-    "articulated",
-    "rocky7",
-    "open_source_rover",
-)
+VEHICLES = ("three_wheeler", "differential_drive", "ackermann", "skid_steer", "rigid_skid_steer")
+VEHICLES += ("articulated", "rocky7", "open_source_rover")
 GROUNDS = ("hills", "map", "rough", "ledge", "ice", "slope", "steep")
 TOLERANCE = 1e-6
 SLIDING = 0.99  # utilisation of a wheel that slides

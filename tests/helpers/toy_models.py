@@ -15,23 +15,10 @@ def model(rate, limits=()):
     names = [("sum", "m s", "integral of x"), ("push", "m s-1", "push"), ("twice", "m", "twice x")]
     labels = Labels((Label("x", "m", "place"),), (), *((Label(*each),) for each in names), ())
     x, q, u, t = symbols(labels.x), symbols(labels.q), symbols(labels.u), ca.SX.sym("t")
-    return Dae(
-        t,
-        x,
-        (),
-        q,
-        u,
-        rate(t, x[0], u[0]),
-        (),
-        ca.SX(x[0]),
-        (2 * x[0],),
-        labels,
-        tuple(Limit(Label("bound", "m", "x is out of bounds"), x[0], *each) for each in limits),
-        (),
-        ca.SX(0, 1),
-        np.zeros(0),
-        (np.zeros(1), np.zeros(0)),
-    )
+    bounds = tuple(Limit(Label("bound", "m", "x is out of bounds"), x[0], *each) for each in limits)
+    rest, shift, y = (ca.SX(0, 1), np.zeros(0)), (np.zeros(1), np.zeros(0)), (2 * x[0],)
+    ode = rate(t, x[0], u[0])
+    return Dae(t, x, (), q, u, ode, (), ca.SX(x[0]), y, labels, bounds, (), *rest, shift)
 
 
 class Values(NamedTuple):
@@ -50,23 +37,10 @@ def toy(count, ode):
         x_labels, z_labels, Nothing(), u_labels, Nothing(), ((Label("law", "m", "law"),),)
     )
     x, z, u, t = symbols(x_labels), symbols(z_labels), symbols(u_labels), ca.SX.sym("t")
-    return Dae(
-        t,
-        x,
-        z,
-        Nothing(),
-        u,
-        ode=ca.vertcat(*ode(t, x.values, z.values[0], u.values[0])),
-        alg=(z.values[0] - x.values[0] ** 2,),
-        quad=ca.SX(0, 1),
-        y=Nothing(),
-        labels=labels,
-        limits=(),
-        checks=(),
-        guess=ca.SX(0),
-        scale=np.ones(1),
-        shift=(np.zeros(count), np.zeros(1)),
-    )
+    rates = ca.vertcat(*ode(t, x.values, z.values[0], u.values[0]))
+    law, none, quad = (z.values[0] - x.values[0] ** 2,), Nothing(), ca.SX(0, 1)
+    numbers = ca.SX(0), np.ones(1), (np.zeros(count), np.zeros(1))  # guess, scale, shift
+    return Dae(t, x, z, none, u, rates, law, quad, none, labels, (), (), *numbers)
 
 
 FREE = (-np.inf, np.inf)

@@ -23,21 +23,19 @@ from slipfree.vehicle.tree import (
 
 HILLS = sf.Analytic(lambda x, y: 0.05 * ca.sin(x) + 0.03 * x * y + 0.04 * y, mu=0.6)
 MOON = BODIES["moon"].gravity
-ATTRACTION = {  # G M [km^3/s^2] and radius [km], equatorial of planets, mean of others
+# G M [km^3/s^2] and radius [km], equatorial of planets, mean of others
+ATTRACTION = {
     "moon": (4902.800, 1737.4),
     "mars": (42828.37, 3396.19),
     "mercury": (22031.87, 2440.53),
-    "venus": (324858.59, 6051.8),
-    "ceres": (62.628, 469.7),
-    "vesta": (17.288, 261.385),
-    "io": (5959.915, 1821.49),
-    "europa": (3202.712, 1560.8),
-    "ganymede": (9887.833, 2631.2),
-    "callisto": (7179.283, 2410.3),
+}
+ATTRACTION |= {"venus": (324858.59, 6051.8), "ceres": (62.628, 469.7), "vesta": (17.288, 261.385)}
+ATTRACTION |= {"io": (5959.915, 1821.49), "europa": (3202.712, 1560.8), "pluto": (869.6, 1188.3)}
+ATTRACTION |= {"ganymede": (9887.833, 2631.2), "callisto": (7179.283, 2410.3)}
+ATTRACTION |= {
     "titan": (8978.137, 2574.76),
     "enceladus": (7.210, 252.1),
     "triton": (1428.495, 1352.6),
-    "pluto": (869.6, 1188.3),
 }
 
 

@@ -37,17 +37,8 @@ LA, LS, R1, R2 = 1.0, 1.5, 0.05, 0.25
 R = H = R1 + R2  # of the wheels, and height of the centre of mass
 RIGHT, LEFT, FRONT = 0, 1, 2
 FORCES = ("force_along", "force_across", "force_normal")
-OF_FORCES = (
-    *FORCES,
-    "friction_needed",
-    "utilisation",
-    "drive_torque",
-    "power",
-    "dissipation",
-    "potential_energy",
-    "work",
-    "tip_over_margin",
-)
+OF_FORCES = (*FORCES, "friction_needed", "utilisation", "drive_torque", "power", "dissipation")
+OF_FORCES += ("potential_energy", "work", "tip_over_margin")
 VEHICLE = three_wheeler()
 WEIGHT = 36 * G
 HILLS = sf.Analytic(hills)

@@ -38,6 +38,8 @@ OPERATORS = {
     ca.OP_NEG: "-{}",
     ca.OP_ASSIGN: "{}",
 }
+# results of the graph "checked"
+CHECKED = ("k", "p", "w", "change", "error", "speed", "f", "doubt", "distances", "before")
 # functions of `lanes.c` by operation; most have the name of the operation, after a v
 COMPARED = ("lt", "le", "eq", "ne", "and", "or", "not", "if_else_zero")
 CALLED = (
@@ -333,40 +335,15 @@ class _Source(CodeWriter):
 
 def _step_code(graphs: Graphs) -> str:
     """Return the C code of steps of a model whose rates need no iteration."""
-    rows, function = graphs.rows, graphs.motion.function
-    _, p, w, change, error, speed, forces, doubt, distances, before = graphs.checked.parts
-    sizes = {
-        "ROWS": function.numel_in(0),
-        "RESULTS": function.numel_out(0),
-        "MOVING": rows.q.stop,
-        "POSITIONS": p.stop - p.start,
-        "FIRST_POSITION": rows.p.start,
-        "NEW_POSITIONS": p.start,
-        "UNKNOWNS": w.stop - w.start,
-        "FIRST_UNKNOWN": rows.w.start,
-        "NEW_UNKNOWNS": w.start,
-        "CHANGE": change.start,
-        "ERROR": error.start,
-        "TIME": rows.t.start,
-        "SPEED": speed.start,
-        "CHECKED_RESULTS": graphs.checked.function.numel_out(0),
-        "FORCES": forces.stop - forces.start,
-        "FIRST_FORCE": rows.f.start,
-        "NEW_FORCES": forces.start,
-        "DOUBT": doubt.start,
-        "FIRST_DISTANCE": distances.start,
-        "END_DISTANCES": distances.stop,
-        "STATES": rows.x.stop,
-        "PLACED": graphs.placing.function.numel_out(0),
-        "INPUTS": rows.u.stop - rows.u.start,
-        "FIRST_INPUT": rows.u.start,
-    }
-    if before.stop > before.start:
-        sizes["BEFORE"], sizes["FIRST_BEFORE"] = before.start, rows.v.start
-    if graphs.dae.lag is not None:
-        sizes["LAG"], sizes["LAST_RELAXING"] = rows.lag.start, rows.x.stop
-        sizes["FIRST_RELAXING"] = rows.x.stop - graphs.dae.rest.numel()
-    lines = [f"#define {name} {value}" for name, value in sizes.items()]
+    parts = graphs.rows._asdict()
+    results = zip(CHECKED, graphs.checked.parts, strict=True)
+    parts |= {f"new_{name}": part for name, part in results}
+    sizes = {f"{name}_at": part.start for name, part in parts.items()}
+    sizes |= {f"{name}_end": part.stop for name, part in parts.items()}
+    sizes["rest"] = graphs.dae.rest.numel()
+    for name in ("motion", "checked", "placing"):
+        sizes[f"{name}_results"] = getattr(graphs, name).function.numel_out(0)
+    lines = [f"#define {name.upper()} {value}" for name, value in sizes.items()]
     return "\n".join([*lines, Path(__file__).with_name("step.c").read_text(encoding="utf-8")])
 
 

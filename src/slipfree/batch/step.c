@@ -1,6 +1,35 @@
 /* Motions of lanes in fixed steps, as `_drive_plainly` of motion.py computes them without a compiler.
- * The macros are rows of the states and of the results of the graphs.
+ * Macros that end in _AT and _END are rows of the states, and with NEW_ of the results of the graph
+ * "checked", which begin with those of "motion".
  */
+#define ROWS T_END
+#define RESULTS MOTION_RESULTS
+#define PLACED PLACING_RESULTS
+#define STATES X_END
+#define MOVING Q_END
+#define POSITIONS (P_END - P_AT)
+#define FIRST_POSITION P_AT
+#define NEW_POSITIONS NEW_P_AT
+#define UNKNOWNS (NEW_W_END - NEW_W_AT)
+#define FIRST_UNKNOWN W_AT
+#define NEW_UNKNOWNS NEW_W_AT
+#define CHANGE NEW_CHANGE_AT
+#define ERROR NEW_ERROR_AT
+#define SPEED NEW_SPEED_AT
+#define TIME T_AT
+#define FORCES (NEW_F_END - NEW_F_AT)
+#define FIRST_FORCE F_AT
+#define NEW_FORCES NEW_F_AT
+#define DOUBT NEW_DOUBT_AT
+#define FIRST_DISTANCE NEW_DISTANCES_AT
+#define END_DISTANCES NEW_DISTANCES_END
+#define INPUTS (U_END - U_AT)
+#define FIRST_INPUT U_AT
+#define FIRST_BEFORE V_AT
+#define BEFORE (NEW_BEFORE_END - NEW_BEFORE_AT)
+#define LAST_RELAXING X_END
+#define FIRST_RELAXING (X_END - REST)
+
 static void moved(vd *s, const vd *start, const vd *k, vd h) {
   for (int i = 0; i < MOVING; i++) s[i] = start[i] + h * k[i];
 }
@@ -17,14 +46,14 @@ static inline int any(vl mask) {
   return bits != 0;
 }
 
-#ifdef LAG
+#if LAG_END > LAG_AT
 /* The damping of two linearly implicit half steps is complete for infinitely stiff contacts. */
 static vl stepped(vd *s, const vd *a, const vd *k1, vd h, vd *mean, vd *r, double most, double worst,
                   const double *K, const Cells *cells) {
   vd start[MOVING], half = SPLAT(0.5) * h, middle[MOVING];
   (void)k1; (void)mean; /* of another lag */
   memcpy(s, a, ROWS * sizeof *s);
-  s[LAG] = half;
+  s[LAG_AT] = half;
   eval_motion(s, r, K, cells);
   vl good = corrected(s, r, most, worst);
   memcpy(start, s, sizeof start);
@@ -35,7 +64,7 @@ static vl stepped(vd *s, const vd *a, const vd *k1, vd h, vd *mean, vd *r, doubl
   good &= corrected(s, r, most, worst);
   moved(s, start, r, h);
   for (int i = FIRST_RELAXING; i < LAST_RELAXING; i++) s[i] = middle[i] + half * r[i];
-  s[LAG] = SPLAT(0.0);
+  s[LAG_AT] = SPLAT(0.0);
   s[TIME] = a[TIME] + h;
   return good;
 }
@@ -118,7 +147,7 @@ static void assign_lane(Point *to, long l, const Point *from, long k) {
   for (size_t i = 0; i < sizeof *to / sizeof *a; i++) a[i][l] = b[i][k];
 }
 
-#ifdef BEFORE
+#if BEFORE
 /* Add the errors of a step of lanes: the integral of the defect beside the cubic path by the 3/8 rule, as
  * `_step_errors` of motion.py. `k2` are the rates at the end.
  */
@@ -330,7 +359,7 @@ void drive(long from, long to, const Run *run, const double *K, const Cells *cel
     }
     if (!any(busy)) return;
     solved = stepped(end.state, at.state, at.rates, h, mean, r, run->most, run->worst, K, cells);
-#ifdef BEFORE
+#if BEFORE
     memcpy(end.state + FIRST_BEFORE, end.state + FIRST_INPUT, INPUTS * sizeof h);
 #endif
     for (long l = 0; l < LANES; l++) {
@@ -342,8 +371,8 @@ void drive(long from, long to, const Run *run, const double *K, const Cells *cel
     solved &= checked_at(end.state, end.rates, r, run->most, run->worst, run->repeats, K, cells);
     accepted = inside(busy & solved, end.state, r, run->rounding, &ends);
     end.speed = r[SPEED];
-#ifdef BEFORE
-    if (run->estimated) add_errors(&at, mean, r + BEFORE, h, end.errors, K, cells);
+#if BEFORE
+    if (run->estimated) add_errors(&at, mean, r + NEW_BEFORE_AT, h, end.errors, K, cells);
 #endif
     for (long l = 0; l < LANES; l++) {
       if (!busy[l] || accepted[l]) continue;

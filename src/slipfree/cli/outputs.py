@@ -53,14 +53,8 @@ def quantities(run: Trajectory) -> dict[str, Any]:
     and largest values are taken over all wheels. Headings refer to the frame of the problem file.
     """
     return {
-        name: {
-            "words": label.words,
-            "unit": label.unit,
-            "first": values[0],
-            "last": values[-1],
-            "min": values.min(),
-            "max": values.max(),
-        }
+        name: {"words": label.words, "unit": label.unit}
+        | {"first": values[0], "last": values[-1], "min": values.min(), "max": values.max()}
         for name, (label, values) in run.columns.items()
     }
 

@@ -217,13 +217,10 @@ OPERATIONS: dict[int, Callable[..., Intervals]] = {
     ca.OP_CEIL: lambda a: _steps(np.ceil(a.low), np.ceil(a.high)),
     ca.OP_IF_ELSE_ZERO: _if_else_zero,
     ca.OP_COSH: lambda a: _rising(np.cosh)(_magnitudes(a)),
-    ca.OP_EXP: _rising(np.exp),
-    ca.OP_LOG: _rising(np.log),
-    ca.OP_TANH: _rising(np.tanh),
-    ca.OP_SINH: _rising(np.sinh),
-    ca.OP_ATAN: _rising(np.arctan),
-    ca.OP_ASIN: _rising(np.arcsin),
 }
+RISING = {"EXP": np.exp, "LOG": np.log, "TANH": np.tanh, "SINH": np.sinh}
+RISING |= {"ATAN": np.arctan, "ASIN": np.arcsin}
+OPERATIONS |= {getattr(ca, f"OP_{name}"): _rising(rising) for name, rising in RISING.items()}
 
 
 def evaluate_interval(function: ca.Function, argument: Intervals) -> Intervals:

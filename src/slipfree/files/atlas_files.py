@@ -161,22 +161,11 @@ def write_geotiff(
     east, north = site.on_map("x", x), site.on_map("y", y)
     d_x, d_y = ((axis[-1] - axis[0]) / (axis.size - 1) for axis in (east, north))
     side = atlas.tile_side(x.size * y.size)
-    profile = {
-        "driver": "GTiff",
-        "width": x.size,
-        "height": y.size,
-        "dtype": "float32",
-        "nodata": np.nan,
-        "crs": system,
-        "transform": Affine(d_x, 0, east[0] - d_x / 2, 0, -d_y, north[-1] + d_y / 2),
-        "tiled": True,
-        "blockxsize": side,
-        "blockysize": side,
-        "compress": "deflate",
-        "predictor": 3,
-        "interleave": "band",
-        "BIGTIFF": "IF_SAFER",
-    }
+    transform = Affine(d_x, 0, east[0] - d_x / 2, 0, -d_y, north[-1] + d_y / 2)
+    profile = {"driver": "GTiff", "dtype": "float32", "nodata": np.nan, "BIGTIFF": "IF_SAFER"}
+    profile |= {"compress": "deflate", "predictor": 3, "interleave": "band"}
+    profile |= {"width": x.size, "height": y.size, "crs": system, "transform": transform}
+    profile |= {"tiled": True, "blockxsize": side, "blockysize": side}
     with replacing(Path(path)) as part, rasterio.Env(GDAL_CACHEMAX=CACHE):
         try:
             with ExitStack() as stack:

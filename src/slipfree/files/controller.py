@@ -383,11 +383,10 @@ def _source_text(model: _Model, fields: _Fields, prefix: str) -> dict[str, str]:
             f"{code.unknown}; use other functions"
         )
     n, sizes = len(place), model.direct.sizes.x
+    named = fields._asdict().items()
     return {
-        **{f"n_{name}": str(len(record)) for name, record in fields._asdict().items()},
-        **{
-            name: _lines(f.declaration for f in record) for name, record in fields._asdict().items()
-        },
+        **{f"n_{name}": str(len(record)) for name, record in named},
+        **{name: _lines(f.declaration for f in record) for name, record in named},
         "n_relaxing": str(model.relaxing),
         "n_wheels": str(len(model.direct.z.position.contacts)),
         "functions": functions,

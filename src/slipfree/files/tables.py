@@ -35,6 +35,8 @@ COMMENT = re.compile(r"^\s*#|#(?![0-9a-fA-F]{6}\b|N/A|NV\b|[A-Z/0]+[!?])")
 COMMENTS = ("#", "%", "//")
 UNIT_TABLE = read_table(__file__, "units.toml")
 REMEDIES: dict[str, str] = UNIT_TABLE.pop("remedies")
+# names of the same quantity, in the order t, x, y, z, heading, longitude, latitude
+ALIASES = tuple({*names.split(", ")} for names in UNIT_TABLE.pop("aliases"))
 UNIT_FACTORS = {  # factors to SI units, by the SI unit, or "heights", and the name of the unit
     unit: {name: float(factor) for names, factor in rows.items() for name in names.split(", ")}
     for unit, rows in UNIT_TABLE.items()
@@ -49,15 +51,6 @@ UNIT_IN_NAME = (  # "x [m]", "time(s)"; "t / s"; "left_rad_s", "vx_m_per_s"; "ya
     re.compile(r"^(.*?)\s*/\s*(\S+)$"),
     re.compile(r"^(.*?)_([^\W_]+_(?:per_)?[sh])$"),
     re.compile(r"^(.*)_([^\W_]+)$"),
-)
-ALIASES = (  # names of the same quantity
-    {"t", "time", "timestamp", "stamp"},
-    {"x", "easting", "east", "e", "rechtswert", "ostwert"},
-    {"y", "northing", "north", "n", "hochwert", "nordwert"},
-    {"z", "height", "h", "elevation", "elev", "ele", "altitude", "alt", "up", "u", "höhe", "hoehe"},
-    {"heading", "yaw"},
-    {"longitude", "long", "lon", "lng"},
-    {"latitude", "lat"},
 )
 HEAD = 1 << 16  # bytes from which the encoding is inferred
 COUNTS = {2: "two", 3: "three", 4: "four"}

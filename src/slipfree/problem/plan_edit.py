@@ -569,12 +569,9 @@ def reported(session: Session, message: Message) -> Session:
 def state_of(session: Session) -> dict[str, Any]:
     """Return the state of a session as a JSON value for the page."""
     places = session.document.places
+    told = ("version", "phase", "line", "error", "file_error")
     return {
-        "version": session.version,
-        "phase": session.phase,
-        "line": session.line,
-        "error": session.error,
-        "file_error": session.file_error,
+        **{name: getattr(session, name) for name in told},
         "page": session.page.identity,
         "revision": session.document.revision,
         "places": places._asdict() | {"regions": [region._asdict() for region in places.regions]},

@@ -91,7 +91,7 @@ def animate(
     writer, (first, last) = film_writer(Path(file), FRAMES), scene.span
     count = int(np.clip(np.ceil(FRAMES * (last - first)) + 1, 2, MOST))
     speed = max(1.0, FRAMES * (last - first) / count)
-    with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
+    with rc_context(STYLE):
         figure = _FilmFigure(figsize=(PAGE, FILM_HEIGHT * MM), layout="constrained", dpi=FILM_DPI)
         film = Film(figure, scene, title, speed)
 

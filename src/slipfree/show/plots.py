@@ -98,7 +98,7 @@ def beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
 
 def draw(plots: Iterable[Plot]) -> dict[str, Figure]:
     """Draw figures and return them by name."""
-    with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
+    with rc_context(STYLE):
         return {plot.name: plot.make() for plot in plots}
 
 
@@ -116,7 +116,7 @@ def save(
     gc.freeze()
     try:
         for plot in plots:
-            with rc_context({"figure.dpi": DPI, **STYLE}):  # type: ignore[dict-item]
+            with rc_context({"figure.dpi": DPI, **STYLE}):
                 figure = plot.make()
                 style.lay_out(figure)
                 for end in formats:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_params_from_file
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
@@ -20,22 +22,8 @@ from slipfree.core.trajectory import Trajectory, stop_words
 
 MM = 1 / 25.4  # [in]
 COLUMN, PAGE = 120 * MM, 180 * MM  # widths of the figures [in]
-STYLE = {
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "axes.titlesize": 8,
-    "legend.fontsize": 7,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "axes.linewidth": 0.6,
-    "axes.formatter.useoffset": False,  # heights of a map far above the sea stay readable
-    "lines.linewidth": 1.2,
-    "legend.frameon": False,
-    "legend.handlelength": 1.8,
-    "pdf.fonttype": 42,
-    "svg.fonttype": "none",
-    "text.usetex": False,  # names are not LaTeX code, and LaTeX may be missing
-}
+SHEET = Path(__file__).with_name("slipfree.mplstyle")
+STYLE = rc_params_from_file(SHEET, use_default_template=False)
 DPI = 200
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito
 # from good to bad: no colour is pale, since tracks have a white edge; also the colour-blind can
