@@ -286,9 +286,9 @@ def test_a_summary_has_wheels_in_the_air_and_rocks():
 
 
 @pytest.mark.slow
-def test_a_plan_is_made_with_three_widths_and_simulated_with_stiffer_wheels(plan_file, monkeypatch):
+def test_a_plan_is_made_with_three_widths(plan_file, monkeypatch):
     models = observed(monkeypatch)
-    assert "with wheels ten times stiffer" in run(plan_file)
+    run(plan_file)
     assert len(models) == 1 + len(module.SMOOTHINGS)
     assert read(Path("p.nc")).outcome is Outcome.COMPLETE
 

@@ -503,7 +503,7 @@ def tile_of(
         lost = np.flatnonzero(outcomes == UNSOLVED)
         distances = solve_forces(evaluate, states[:, lost])
         for distance, k in zip(distances, graphs.bounds, strict=True):
-            if dae.limits[k].label.name == "hole_margin":  # far inside a hole there is no ground
+            if dae.limits[k].label.name in ("upright", "hole_margin"):  # why no pose was found
                 outcomes[lost[distance < 0]] = k
         bands = _quantities(evaluator, dae.checks, states, tolerance)
         if evaluator.has_rests:

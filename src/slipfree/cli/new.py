@@ -136,8 +136,7 @@ def new(
             tables["vehicles"] = [{"name": Path(vehicle).stem, **tables.pop("vehicle")}, OTHER]
         if kind == "plan":
             goal = distant_goal(surface.grid, built, place["x"], place["y"], heading)
-            tables |= {"goal": dict(zip("xy", goal, strict=True))}
-            tables |= {"bounds": bounds} if bounds else {}
+            tables |= {"goal": dict(zip("xy", goal, strict=True)), "bounds": bounds}
         text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
     write_new_file(text, out, force)
     solve = kind if kind in ("atlas", "compare") else "run"
@@ -151,7 +150,7 @@ def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, Any]) -
     In a plan, tables about the motion are removed as well: they belong to the shipped ground.
     """
     own = ""
-    for name, table in tables.items():
+    for name, table in filter(all, tables.items()):
         if isinstance(table, dict):
             own += f"[{name}]{f'  # {TABLES[name]}' if name in TABLES else ''}\n"
         own += f"{tomlkit.dumps(table if isinstance(table, dict) else {name: table})}\n"

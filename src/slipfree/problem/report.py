@@ -363,7 +363,7 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
             "free wheels, passive joints); the slip is minimal, zero if inputs and ground permit"
         )
     ground = ["height", "pitch", "roll", *(c.name for c in vehicle.of("suspension"))]
-    listed_ground = ", ".join(ground if is_exact else [*ground, "depths of the wheels"])
+    listed_ground = ", ".join(ground if is_exact else [*ground, "depths of the wheels in it"])
     equations = "equilibrium and the wheel-ground law; they also determine the normal forces"
     if not has_law:
         equations = dae.labels.alg[1][0].name.replace("_", " ")

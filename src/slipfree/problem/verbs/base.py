@@ -561,9 +561,9 @@ def _friction(run: Trajectory, facts: Facts) -> str:
         return f"coefficient needed: {where}{others}; {none}"
     spread = ", for the forces that this motion needs"
     if run.attributes.get("model") in ("quasi-static", "dynamics"):
-        spread = f" by the law {run.attributes['law']!r}" + ": a wheel slides" * (
-            used.value > SLIDES
-        )
+        sliding = 100 * (run["utilisation"] > SLIDES).any(axis=1).mean()
+        words = f": a wheel slides at {sliding:.2g} % of the samples" * bool(sliding)
+        spread = f" by the law {run.attributes['law']!r}{words}"
     enough = "" if used.value <= 1 else "; friction is not sufficient for this motion"
     if best is not None and best.value <= 1 < used.value:
         enough = ": friction can be sufficient"

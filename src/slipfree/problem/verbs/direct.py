@@ -73,7 +73,8 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
     actuators, inputs = _actuators(vehicle, robot), dict[str, Piecewise]()
     with at(problem, ("inputs", FILE)):
         if not is_mcap(Path(file)):
-            return _read_rates(problem.folder / file, [each.name for each in actuators.values()])
+            names = [each.name for each in actuators.values()]
+            return _read_rates(problem.folder / file, names, spec.time.duration)
         commands = read_joint_commands(problem.folder / file)
         for joint, actuator in actuators.items():
             if joint not in commands or actuator.name in inputs:
@@ -113,7 +114,7 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
     return inputs
 
 
-def _read_rates(file: Path, inputs: Sequence[str]) -> dict[str, Piecewise]:
+def _read_rates(file: Path, inputs: Sequence[str], end: float) -> dict[str, Piecewise]:
     """Return the rates in a CSV file by input; rates between two rows are their mean.
 
     Of two rows with the same time, the second one counts from there on.
@@ -124,10 +125,10 @@ def _read_rates(file: Path, inputs: Sequence[str]) -> dict[str, Piecewise]:
         raise DataError(f"{file}: expected {expected}, found none of them; name the columns so")
     t, *rates = read_columns(file, ["t", *names], expected).values.values()
     steps = np.diff(t, prepend=0.0)
-    if steps.min() < 0 or t[-1] <= 0:
+    if steps.min() < 0 or t[-1] < end * (1 - ROUNDING):
         raise DataError(
-            f"{file}: expected times that increase from 0 on, found {t[0]:g} to {t[-1]:g} s; sort "
-            "the rows, and count the times from the start"
+            f"{file}: expected times that increase from 0 to time.duration, {end:g} s, or further, "
+            f"found {t[0]:g} to {t[-1]:g} s; sort the rows, or change the duration"
         )
     since, later = np.append(0.0, t)[:-1], steps > 0
     means = [(np.append(each[0], each)[:-1] + each) / 2 for each in rates]
